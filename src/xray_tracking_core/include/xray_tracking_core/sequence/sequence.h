@@ -1,0 +1,50 @@
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include <opencv2/core.hpp>
+
+#include "xray_tracking_core/sequence/treatment_setup.h"
+
+namespace xray_tracking
+{
+/// A pose with its time.
+struct StampedPose
+{
+  std::int64_t stamp_ns = 0;
+  RigidTransform room_from_patient = RigidTransform::Identity();
+};
+
+/// One exposure: the image file of every detector, in the order of the setup's detectors.
+struct Exposure
+{
+  std::int64_t stamp_ns = 0;
+  std::vector<std::string> files;  ///< absolute
+};
+
+/// A sequence folder (formats.md): setup, exposures in order of time, and the gold standard where there is one.
+struct Sequence
+{
+  TreatmentSetup setup;
+  std::vector<Exposure> exposures;
+  std::vector<StampedPose> gold_standard;  ///< empty, or one for each exposure
+};
+
+/// Reads `DIR/sequence.yaml` and the tables it names; images are only looked for, not read.
+/// @throws std::runtime_error naming the file, the line and what is wrong: stamps that do not grow, a detector without
+/// an image in an exposure or with two, an unknown detector, a missing image, a pose that is not finite or whose
+/// quaternion is not of unit norm, a gold standard without an exposure's stamp.
+Sequence loadSequence(const std::string& directory);
+
+/// Reads a table of poses, `stamp_s,tx_mm,ty_mm,tz_mm,qx,qy,qz,qw` of room_T_patient, as gold_standard.csv is one.
+/// @throws std::runtime_error naming the file, the line and what is wrong: stamps that do not grow, a pose that is not
+/// finite or whose quaternion is not of unit norm
+std::vector<StampedPose> loadPoses(const std::string& path);
+
+/// Reads one X-ray image: PNG or TIFF of 8 or 16 bit, one channel, or DICOM. @return CV_16UC1, values as in the file
+/// @throws std::runtime_error naming the file if it is missing, unreadable, of another kind, or not of `expected_size`
+/// (columns, rows)
+cv::Mat readXrayImage(const std::string& path, const Eigen::Vector2i& expected_size);
+}  // namespace xray_tracking

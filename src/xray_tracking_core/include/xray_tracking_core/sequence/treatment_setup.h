@@ -1,0 +1,58 @@
+#pragma once
+
+#include <map>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <Eigen/Geometry>
+#include <opencv2/core.hpp>
+
+#include "xray_tracking_core/geometry/projection_geometry.h"
+#include "xray_tracking_core/geometry/rigid_transform.h"
+
+namespace xray_tracking
+{
+/// What a pixel value means (formats.md, `intensity`).
+struct IntensityModel
+{
+  enum class Kind
+  {
+    COUNTS,      ///< detector counts, dark bone
+    ATTENUATION  ///< line integrals, bright bone
+  };
+
+  Kind kind = Kind::COUNTS;
+  double offset = 0.0;                ///< counts without any exposure
+  std::optional<double> air_counts;   ///< counts behind air alone, offset included; absent: estimated from the image
+};
+
+/// What is known of a treatment before the first exposure: a sequence.yaml without its frames (formats.md).
+struct TreatmentSetup
+{
+  std::string ct_path;                             ///< absolute; empty if none is named
+  IntensityModel intensity;
+  std::vector<ProjectionGeometry> detectors;       ///< two or more, names unique
+  RigidTransform room_from_patient = RigidTransform::Identity();                ///< `initial_pose`
+  Eigen::AlignedBox3d target_box;                  ///< patient frame [mm]
+  std::map<std::string, cv::Rect> regions;         ///< ROI [px] in the first exposure by detector; may lack any
+
+  /// @throws std::invalid_argument naming the detector and those there are
+  const ProjectionGeometry& detector(const std::string& name) const;
+  Eigen::Vector3d targetCentre() const { return target_box.center(); }
+};
+
+/// Reads the `detectors` list of a YAML file. @throws std::runtime_error naming file, key, value and what was expected
+std::vector<ProjectionGeometry> loadDetectors(const std::string& path);
+
+/// Reads a setup file: `detectors` (a list, or the path of a YAML file that has one), `initial_pose`, `target_box_mm`,
+/// and optionally `ct`, `intensity`, `regions`; relative paths start at the file. Keys that it does not use are left
+/// alone. @throws std::runtime_error naming file, key, value and what was expected
+TreatmentSetup loadTreatmentSetup(const std::string& path);
+
+/// Writes a setup that loadTreatmentSetup reads back. @throws std::runtime_error
+void saveTreatmentSetup(const TreatmentSetup& setup, const std::string& path);
+
+/// The box around the target's eight projected corners, clipped to the image; empty if none of it is seen.
+cv::Rect projectedTargetRegion(const TreatmentSetup& setup, const ProjectionGeometry& geometry);
+}  // namespace xray_tracking

@@ -1,0 +1,64 @@
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include <Eigen/Geometry>
+
+namespace xray_tracking
+{
+/// A regular voxel grid in the patient frame (DICOM LPS, mm).
+struct VolumeGrid
+{
+  Eigen::Vector3i size = Eigen::Vector3i::Zero();  ///< voxels along i (fastest), j, k
+  /// Continuous voxel index (i, j, k; whole numbers are voxel centres) to patient point [mm]. Holds spacing and
+  /// direction, which may be left-handed.
+  Eigen::Affine3d patient_from_index = Eigen::Affine3d::Identity();
+
+  std::size_t voxelCount() const
+  {
+    return static_cast<std::size_t>(size.x()) * static_cast<std::size_t>(size.y()) * static_cast<std::size_t>(size.z());
+  }
+  std::size_t offset(int i, int j, int k) const
+  {
+    return (static_cast<std::size_t>(k) * size.y() + j) * static_cast<std::size_t>(size.x()) + i;
+  }
+  /// Distances of voxel centres along i, j, k [mm].
+  Eigen::Vector3d spacing() const { return patient_from_index.linear().colwise().norm(); }
+  /// Patient point of the grid's middle [mm].
+  Eigen::Vector3d centre() const { return patient_from_index * (0.5 * (size.cast<double>().array() - 1.0)).matrix(); }
+};
+
+/// A CT in Hounsfield units.
+struct CtVolume
+{
+  VolumeGrid grid;
+  std::vector<std::int16_t> hu;  ///< voxelCount() values, i fastest
+};
+
+/// Values per voxel on a grid, e.g. linear attenuation [1/mm].
+struct ScalarVolume
+{
+  VolumeGrid grid;
+  std::vector<float> values;  ///< voxelCount() values, i fastest
+};
+
+/// Reads a CT: a NRRD, MetaImage or NIfTI file, or a folder with one DICOM CT series. Axes come out as LPS mm whatever
+/// the file declares (NRRD: LPS, RAS or LAS, or no space, which is taken for LPS). DICOM files of other modalities are
+/// passed over; a tilted gantry gives a sheared grid.
+/// @throws std::runtime_error naming the path and what is wrong: not there, not readable, truncated, not three-
+/// dimensional, more than one series, a slice missing, or values that are not Hounsfield units (no voxel between -200
+/// and 200, or all the same, or a minimum above -200 as a body in air has none, or outside [-32768, 32767]).
+CtVolume readCtVolume(const std::string& path);
+
+/// Writes a CT as NRRD, NIfTI or MetaImage by the file's extension. @throws std::runtime_error naming the path: not
+/// writable, another extension, or a sheared grid as NIfTI
+void writeCtVolume(const CtVolume& volume, const std::string& path);
+
+/// The centre of the cube of the given edge [mm], along the patient's axes, that holds most bone (HU over 200), its
+/// centre in the middle third of the superior-inferior axis: a first guess of a vertebra for a CT of which nothing else
+/// is known.
+/// @throws std::runtime_error if there is no bone, std::invalid_argument if the edge is less than a voxel
+Eigen::Vector3d findBonyTarget(const CtVolume& volume, double edge);
+}  // namespace xray_tracking

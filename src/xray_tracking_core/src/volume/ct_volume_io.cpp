@@ -1,0 +1,321 @@
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <filesystem>
+#include <fstream>
+#include <limits>
+#include <map>
+#include <memory>
+#include <sstream>
+
+#include <itkGDCMImageIO.h>
+#include <itkImageFileReader.h>
+#include <itkImageFileWriter.h>
+#include <itkMetaDataObject.h>
+#include <itkMetaImageIO.h>
+#include <itkNiftiImageIO.h>
+#include <itkNrrdImageIO.h>
+#include <zlib.h>
+
+#include "ct_error.h"
+#include "dicom_series.h"
+#include "xray_tracking_core/volume/ct_volume.h"
+
+// ITK's readers are named here one by one. Its object factories would have to be registered in every executable.
+
+namespace xray_tracking
+{
+namespace
+{
+namespace fs = std::filesystem;
+using FloatImage = itk::Image<float, 3>;
+using HuImage = itk::Image<std::int16_t, 3>;
+
+/// MetaIO says nothing of data that end early.
+void requireAllOfMetaImage(const itk::ImageIOBase& format, const std::string& path)
+{
+  std::ifstream header(path, std::ios::binary);
+  std::map<std::string, std::string> fields;
+  for (std::string line; fields.count("ElementDataFile") == 0 && std::getline(header, line);)
+  {
+    std::string key;
+    std::string equals;
+    std::string value;
+    std::istringstream(line) >> key >> equals >> value;
+    fields[key] = value;
+  }
+  const std::string data = fields["ElementDataFile"];
+  const fs::path data_file = data == "LOCAL" ? fs::path(path) : fs::path(path).parent_path() / data;
+  if (!fs::is_regular_file(data_file))
+  {
+    return;  // many files, by a list or a pattern; ITK misses those that are not there
+  }
+  std::uintmax_t expected = format.GetImageSizeInBytes();
+  if (fields["CompressedData"] == "True")
+  {
+    expected = 0;  // some files do not say
+    std::istringstream(fields["CompressedDataSize"]) >> expected;
+  }
+  const std::uintmax_t start = data == "LOCAL" ? static_cast<std::uintmax_t>(header.tellg()) : 0;
+  if (fs::file_size(data_file) < start + expected)
+  {
+    failCt(path, "truncated: " + data_file.string() + " has " + std::to_string(fs::file_size(data_file)) +
+                     " bytes, expected " + std::to_string(start + expected));
+  }
+}
+
+/// ITK's NIfTI reader says nothing of data that end early either, and takes zeros for the rest.
+void requireAllOfNifti(const itk::ImageIOBase& format, const std::string& path)
+{
+  std::string offset = "0";
+  itk::ExposeMetaData<std::string>(format.GetMetaDataDictionary(), "vox_offset", offset);
+  const auto end = static_cast<z_off_t>(std::stoll(offset) + format.GetImageSizeInBytes());
+  fs::path data_file = path;
+  if (data_file.extension() == ".hdr")
+  {
+    data_file.replace_extension(".img");
+  }
+  // Reads files that are not compressed, too.
+  const std::unique_ptr<gzFile_s, int (*)(gzFile)> file(gzopen(data_file.c_str(), "rb"), gzclose);
+  if (!file || gzseek(file.get(), end - 1, SEEK_SET) != end - 1 || gzgetc(file.get()) == -1)
+  {
+    failCt(path, "truncated: its data end before the last voxel");
+  }
+}
+
+std::array<itk::ImageIOBase::Pointer, 3> fileFormats()
+{
+  return { itk::NrrdImageIO::New().GetPointer(), itk::MetaImageIO::New().GetPointer(),
+           itk::NiftiImageIO::New().GetPointer() };
+}
+
+FloatImage::Pointer readImage(itk::ImageIOBase* format, const std::string& path)
+{
+  const auto reader = itk::ImageFileReader<FloatImage>::New();
+  reader->SetImageIO(format);
+  reader->SetFileName(path);
+  try
+  {
+    reader->UpdateOutputInformation();
+    if (format->GetNumberOfDimensions() != 3)
+    {
+      failCt(path, "has " + std::to_string(format->GetNumberOfDimensions()) + " dimensions, expected 3");
+    }
+    if (format->GetNumberOfComponents() != 1)
+    {
+      failCt(path, "has " + std::to_string(format->GetNumberOfComponents()) + " values a voxel, expected 1");
+    }
+    if (dynamic_cast<itk::MetaImageIO*>(format))
+    {
+      requireAllOfMetaImage(*format, path);
+    }
+    else if (dynamic_cast<itk::NiftiImageIO*>(format))
+    {
+      requireAllOfNifti(*format, path);
+    }
+    reader->Update();
+  }
+  catch (const itk::ExceptionObject& error)
+  {
+    failCt(path, std::string("cannot be read: ") + error.GetDescription());
+  }
+  return reader->GetOutput();
+}
+
+VolumeGrid gridOf(const FloatImage& image)
+{
+  const auto& region = image.GetLargestPossibleRegion();
+  VolumeGrid grid;
+  for (int axis = 0; axis < 3; ++axis)
+  {
+    grid.size[axis] = static_cast<int>(region.GetSize(axis));
+    grid.patient_from_index.translation()[axis] = image.GetOrigin()[axis];
+    for (int row = 0; row < 3; ++row)
+    {
+      grid.patient_from_index.linear()(row, axis) = image.GetDirection()(row, axis) * image.GetSpacing()[axis];
+    }
+  }
+  return grid;
+}
+
+void requireUsableGrid(const VolumeGrid& grid, const std::string& path)
+{
+  std::ostringstream message;
+  if (grid.size.minCoeff() < 2)
+  {
+    message << "is " << grid.size.transpose() << " voxels, expected at least 2 along each of three axes";
+    failCt(path, message.str());
+  }
+  // Outside these bounds the file is not in millimetres.
+  const Eigen::Vector3d spacing = grid.spacing();
+  if (!(spacing.minCoeff() >= 0.01 && spacing.maxCoeff() <= 100.0) || !grid.patient_from_index.matrix().allFinite())
+  {
+    message << "voxel spacing is " << spacing.transpose() << " mm, expected 0.01 to 100, and a finite origin";
+    failCt(path, message.str());
+  }
+}
+
+/// ITK would write NIfTI with the nearest axes at right angles, without a word.
+void requireRightAngles(const VolumeGrid& grid, const std::string& path)
+{
+  const Eigen::Matrix3d axes = grid.patient_from_index.linear().colwise().normalized();
+  if (!(axes.transpose() * axes).isIdentity(1e-5))
+  {
+    failCt(path, "NIfTI takes no sheared grid (tilted gantry); write NRRD");
+  }
+}
+
+/// Rounds to whole HU. @throws if the values are no HU of a body in air
+std::vector<std::int16_t> toHu(const float* values, std::size_t count, const std::string& path)
+{
+  constexpr float kTissue = 200.0f;  // either side of water
+  std::vector<std::int16_t> hu(count);
+  float lowest = std::numeric_limits<float>::max();
+  float highest = std::numeric_limits<float>::lowest();
+  bool tissue = false;
+  for (std::size_t n = 0; n < count; ++n)
+  {
+    const float value = std::round(values[n]);
+    // Negated so that NaN fails, too.
+    if (!(value >= std::numeric_limits<std::int16_t>::min() && value <= std::numeric_limits<std::int16_t>::max()))
+    {
+      std::ostringstream message;
+      message << "not Hounsfield units: holds the value " << value << ", expected -32768 to 32767";
+      failCt(path, message.str());
+    }
+    lowest = std::min(lowest, value);
+    highest = std::max(highest, value);
+    tissue = tissue || std::abs(value) <= kTissue;
+    hu[n] = static_cast<std::int16_t>(value);
+  }
+  std::ostringstream message;
+  if (lowest == highest)
+  {
+    message << "all voxels are " << lowest;
+  }
+  else if (lowest > -kTissue)
+  {
+    message << "the lowest value is " << lowest << ", expected air, near -1000";
+  }
+  else if (!tissue)
+  {
+    message << "no value between -200 and 200, where soft tissue is; they run from " << lowest << " to " << highest;
+  }
+  if (!message.str().empty())
+  {
+    failCt(path, "not Hounsfield units: " + message.str());
+  }
+  return hu;
+}
+
+void requireKnownSpace(const itk::ImageIOBase& format, const std::string& path)
+{
+  // ITK converts RAS and LAS to LPS and says so here; other spaces it leaves as they are.
+  std::string space;
+  if (itk::ExposeMetaData<std::string>(format.GetMetaDataDictionary(), "NRRD_space", space) &&
+      space != "left-posterior-superior")
+  {
+    failCt(path, "space is " + space + ", expected left-posterior-superior, right- or left-anterior-superior");
+  }
+}
+
+CtVolume readFile(const std::string& path)
+{
+  for (const itk::ImageIOBase::Pointer& format : fileFormats())
+  {
+    if (format->CanReadFile(path.c_str()))
+    {
+      const FloatImage::Pointer image = readImage(format, path);
+      requireKnownSpace(*format, path);
+      const VolumeGrid grid = gridOf(*image);
+      requireUsableGrid(grid, path);
+      return { grid, toHu(image->GetBufferPointer(), grid.voxelCount(), path) };
+    }
+  }
+  failCt(path, "not a NRRD, MetaImage or NIfTI file, nor a folder");
+}
+
+CtVolume readFolder(const std::string& path)
+{
+  const DicomSeries series = findCtSeries(path);
+  requireUsableGrid(series.grid, path);
+  std::vector<float> values;
+  values.reserve(series.grid.voxelCount());
+  for (const std::string& file : series.files)
+  {
+    const FloatImage::Pointer slice = readImage(itk::GDCMImageIO::New(), file);
+    const Eigen::Vector3i size = gridOf(*slice).size;
+    if (size.z() != 1)
+    {
+      failCt(file, "holds " + std::to_string(size.z()) + " slices, expected 1");
+    }
+    values.insert(values.end(), slice->GetBufferPointer(),
+                  slice->GetBufferPointer() + static_cast<std::size_t>(size.x()) * size.y());
+  }
+  return { series.grid, toHu(values.data(), values.size(), path) };
+}
+}  // namespace
+
+CtVolume readCtVolume(const std::string& path)
+{
+  if (!fs::exists(path))
+  {
+    failCt(path, "no such file or folder");
+  }
+  return fs::is_directory(path) ? readFolder(path) : readFile(path);
+}
+
+void writeCtVolume(const CtVolume& volume, const std::string& path)
+{
+  const VolumeGrid& grid = volume.grid;
+  if (grid.voxelCount() == 0 || volume.hu.size() != grid.voxelCount())
+  {
+    failCt(path, "has " + std::to_string(volume.hu.size()) + " values, expected " + std::to_string(grid.voxelCount()));
+  }
+  const auto image = HuImage::New();
+  HuImage::RegionType region;
+  HuImage::SpacingType spacing;
+  HuImage::PointType origin;
+  HuImage::DirectionType direction;
+  for (int axis = 0; axis < 3; ++axis)
+  {
+    region.SetSize(axis, grid.size[axis]);
+    spacing[axis] = grid.spacing()[axis];
+    origin[axis] = grid.patient_from_index.translation()[axis];
+    for (int row = 0; row < 3; ++row)
+    {
+      direction(row, axis) = grid.patient_from_index.linear()(row, axis) / spacing[axis];
+    }
+  }
+  try
+  {
+    image->SetRegions(region);
+    image->SetSpacing(spacing);
+    image->SetOrigin(origin);
+    image->SetDirection(direction);
+    // ITK takes no const buffer, but does not write to it either.
+    image->GetPixelContainer()->SetImportPointer(const_cast<std::int16_t*>(volume.hu.data()), volume.hu.size(), false);
+    for (const itk::ImageIOBase::Pointer& format : fileFormats())
+    {
+      if (format->CanWriteFile(path.c_str()))
+      {
+        if (dynamic_cast<itk::NiftiImageIO*>(format.GetPointer()))
+        {
+          requireRightAngles(grid, path);
+        }
+        const auto writer = itk::ImageFileWriter<HuImage>::New();
+        writer->SetImageIO(format);
+        writer->SetFileName(path);
+        writer->SetInput(image);
+        writer->Update();
+        return;
+      }
+    }
+  }
+  catch (const itk::ExceptionObject& error)
+  {
+    failCt(path, std::string("cannot be written: ") + error.GetDescription());
+  }
+  failCt(path, "extension is not one of .nrrd, .nhdr, .mha, .mhd, .nii, .nii.gz");
+}
+}  // namespace xray_tracking
