@@ -1,0 +1,53 @@
+#!/usr/bin/python3
+"""Nodes with parameters that they cannot work with say so in diagnostics, again and again, and stay alive."""
+
+import threading
+import unittest
+
+import rospy
+import rostest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+
+TIMEOUT = 60.0  # s
+EXPECTED = {  # node: what the message has to name
+    'no_setup_file': ['/no_setup_file/setup_file', 'is not set'],
+    'missing_setup_file': ['/nowhere/setup.yaml'],
+    'unknown_method': ['method', 'guessing', 'least_squares'],
+    'wrong_type': ['/wrong_type/floor_sigma', 'half a pixel', 'a number'],
+    'out_of_range': ['significance', '2', '(0, 1)'],
+    'one_detector': ['detectors', 'two or more'],
+    'no_topic_name': ['detector a'],
+    'nodelet_missing_setup_file': ['/nowhere/setup.yaml'],
+}
+
+
+class BadParametersTest(unittest.TestCase):
+    def test_every_node_reports_and_lives(self):
+        changed = threading.Condition()
+        reports = {name: [] for name in EXPECTED}
+
+        def diagnostics_cb(message):
+            with changed:
+                for status in message.status:
+                    name = status.name.split(':')[0]
+                    # Updaters say first that they start up.
+                    if name in reports and status.name.endswith(': motion') and status.level != DiagnosticStatus.OK:
+                        reports[name].append(status)
+                changed.notify_all()
+
+        subscriber = rospy.Subscriber('/diagnostics', DiagnosticArray, diagnostics_cb)
+        # Three reports of each: alive well after the failure.
+        with changed:
+            complete = changed.wait_for(lambda: all(len(r) >= 3 for r in reports.values()), TIMEOUT)
+        subscriber.unregister()
+        self.assertTrue(complete, {name: len(r) for name, r in reports.items()})
+        for name, words in EXPECTED.items():
+            for status in reports[name]:
+                self.assertEqual(status.level, DiagnosticStatus.ERROR)
+                for word in words:
+                    self.assertIn(word, status.message)
+
+
+if __name__ == '__main__':
+    rospy.init_node('bad_parameters_test')
+    rostest.rosrun('xray_tracking_motion_estimation', 'bad_parameters', BadParametersTest)

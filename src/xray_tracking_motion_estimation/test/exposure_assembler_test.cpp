@@ -1,0 +1,101 @@
+#include "xray_tracking_motion_estimation/exposure_assembler.h"
+
+#include <string>
+
+#include <gtest/gtest.h>
+
+namespace xray_tracking
+{
+namespace
+{
+using Assembler = ExposureAssembler<std::string>;
+using Outcome = Assembler::Outcome;
+constexpr std::int64_t kSecond = 1000000000;
+
+TEST(ExposureAssembler, CompletesInAnyOrderOfViews)
+{
+  Assembler assembler(3, 10);
+  EXPECT_EQ(assembler.add(2, 5, "c"), Outcome::PENDING);
+  EXPECT_EQ(assembler.add(0, 5, "a"), Outcome::PENDING);
+  EXPECT_EQ(assembler.add(1, 5, "b"), Outcome::COMPLETE);
+  EXPECT_EQ(assembler.exposure(), (std::vector<std::string>{ "a", "b", "c" }));
+  EXPECT_FALSE(assembler.restarted());
+}
+
+TEST(ExposureAssembler, PairsOnlyTheSameStamp)
+{
+  Assembler assembler(2, 10);
+  assembler.add(0, 5, "a5");
+  EXPECT_EQ(assembler.add(1, 6, "b6"), Outcome::PENDING);
+  EXPECT_EQ(assembler.add(1, 5, "b5"), Outcome::COMPLETE);
+  EXPECT_EQ(assembler.exposure(), (std::vector<std::string>{ "a5", "b5" }));
+  EXPECT_EQ(assembler.add(0, 6, "a6"), Outcome::COMPLETE);
+}
+
+TEST(ExposureAssembler, CountsExposuresThatANewerOneOvertakes)
+{
+  Assembler assembler(2, 10);
+  assembler.add(0, 1, "");
+  assembler.add(1, 2, "");
+  assembler.add(0, 3, "");
+  assembler.add(1, 3, "");
+  EXPECT_EQ(assembler.incomplete(), 2u);
+  EXPECT_EQ(assembler.add(1, 1, ""), Outcome::LATE);
+  EXPECT_EQ(assembler.late(), 1u);
+}
+
+TEST(ExposureAssembler, CountsDuplicates)
+{
+  Assembler assembler(2, 10);
+  assembler.add(0, 1, "first");
+  EXPECT_EQ(assembler.add(0, 1, "second"), Outcome::DUPLICATE);
+  EXPECT_EQ(assembler.add(1, 1, ""), Outcome::COMPLETE);
+  EXPECT_EQ(assembler.exposure()[0], "first");
+  EXPECT_EQ(assembler.add(1, 1, ""), Outcome::DUPLICATE);
+  EXPECT_EQ(assembler.duplicates(), 2u);
+}
+
+TEST(ExposureAssembler, IsBounded)
+{
+  Assembler assembler(2, 3);
+  for (int stamp = 1; stamp <= 10; ++stamp)
+  {
+    assembler.add(0, stamp, "");
+  }
+  EXPECT_EQ(assembler.incomplete(), 7u);
+  EXPECT_EQ(assembler.add(1, 8, ""), Outcome::COMPLETE);
+  EXPECT_EQ(assembler.add(1, 10, ""), Outcome::COMPLETE);
+  EXPECT_EQ(assembler.incomplete(), 8u);
+}
+
+TEST(ExposureAssembler, StartsAgainAfterABackwardJump)
+{
+  Assembler assembler(2, 10);
+  assembler.add(0, 10 * kSecond, "");
+  assembler.add(1, 10 * kSecond, "");
+  assembler.add(0, 11 * kSecond, "before the jump");
+  // A second is still a late message, more is the start of another run, but only once all views have it.
+  EXPECT_EQ(assembler.add(0, 9 * kSecond, ""), Outcome::LATE);
+  EXPECT_EQ(assembler.add(0, 2 * kSecond, ""), Outcome::PENDING);
+  EXPECT_EQ(assembler.add(0, 3 * kSecond, "after the jump"), Outcome::PENDING);
+  EXPECT_EQ(assembler.add(1, 2 * kSecond, ""), Outcome::COMPLETE);
+  EXPECT_TRUE(assembler.restarted());
+  EXPECT_EQ(assembler.add(1, 3 * kSecond, ""), Outcome::COMPLETE);
+  EXPECT_FALSE(assembler.restarted());
+  EXPECT_EQ(assembler.exposure()[0], "after the jump");
+  EXPECT_EQ(assembler.add(1, 11 * kSecond, ""), Outcome::PENDING);
+}
+
+TEST(ExposureAssembler, AStrayOldMessageIsNoRestart)
+{
+  Assembler assembler(2, 10);
+  assembler.add(0, 10 * kSecond, "");
+  assembler.add(1, 10 * kSecond, "");
+  EXPECT_EQ(assembler.add(0, kSecond, ""), Outcome::PENDING);
+  assembler.add(0, 11 * kSecond, "");
+  EXPECT_EQ(assembler.add(1, 11 * kSecond, ""), Outcome::COMPLETE);
+  EXPECT_FALSE(assembler.restarted());
+  EXPECT_EQ(assembler.incomplete(), 1u);
+}
+}  // namespace
+}  // namespace xray_tracking

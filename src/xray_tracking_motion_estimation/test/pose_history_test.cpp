@@ -1,0 +1,42 @@
+#include "xray_tracking_motion_estimation/pose_history.h"
+
+#include <gtest/gtest.h>
+
+namespace xray_tracking
+{
+namespace
+{
+RigidTransform shifted(double x)
+{
+  RigidTransform transform = RigidTransform::Identity();
+  transform.translation().x() = x;
+  return transform;
+}
+
+TEST(PoseHistory, FindsExactlyTheStamp)
+{
+  PoseHistory history(10);
+  EXPECT_TRUE(history.empty());
+  history.add(100, shifted(1.0));
+  history.add(200, shifted(2.0));
+  ASSERT_TRUE(history.at(100));
+  EXPECT_EQ(history.at(100)->translation().x(), 1.0);
+  EXPECT_EQ(history.at(200)->translation().x(), 2.0);
+  EXPECT_FALSE(history.at(101));
+}
+
+TEST(PoseHistory, ForgetsTheOldest)
+{
+  PoseHistory history(3);
+  for (int stamp = 0; stamp < 5; ++stamp)
+  {
+    history.add(stamp, shifted(stamp));
+  }
+  EXPECT_FALSE(history.at(1));
+  EXPECT_TRUE(history.at(2));
+  EXPECT_TRUE(history.at(4));
+  history.clear();
+  EXPECT_FALSE(history.at(4));
+}
+}  // namespace
+}  // namespace xray_tracking
