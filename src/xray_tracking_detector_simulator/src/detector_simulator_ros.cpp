@@ -27,7 +27,8 @@ std::unique_ptr<Anatomy> makeAnatomy(const SimulatorParameters& parameters, cons
   }
   if (setup.ct_path.empty())
   {
-    throw std::invalid_argument("ct: absent in " + parameters.setup_file + ", expected the path of a CT (source: ct)");
+    throw std::invalid_argument("ct is absent in " + parameters.setup_file +
+                                ", expected the path of a CT (source: ct)");
   }
   return std::make_unique<CtAnatomy>(readCtVolume(setup.ct_path), setup.target_box);
 }
@@ -46,9 +47,10 @@ DetectorSimulatorRos::DetectorSimulatorRos(const ros::NodeHandle& nh, const ros:
 {
   updater_.setHardwareID("none");
   updater_.add("exposures", this, &DetectorSimulatorRos::produceDiagnostics);
-  diagnostics_timer_ = nh_.createTimer(ros::Duration(0.5), [this](const ros::TimerEvent&) { updater_.update(); });
+  diagnostics_timer_ =
+      nh_.createSteadyTimer(ros::WallDuration(1.0), [this](const ros::SteadyTimerEvent&) { updater_.force_update(); });
   start_service_ = pnh_.advertiseService("start", &DetectorSimulatorRos::onStart, this);
-  worker_ = std::thread(&DetectorSimulatorRos::run, this);
+  worker_ = std::thread([this] { computing_.run_and_wait([this] { run(); }); });
 }
 
 DetectorSimulatorRos::~DetectorSimulatorRos()
@@ -58,6 +60,8 @@ DetectorSimulatorRos::~DetectorSimulatorRos()
     stop_ = true;
   }
   wake_.notify_all();
+  // Every loop on all cores that runs or is yet to come returns at once; what it leaves unfinished is not looked at.
+  computing_.cancel();
   worker_.join();
 }
 
@@ -67,6 +71,10 @@ void DetectorSimulatorRos::run()
   {
     load();
     prepare(0);
+    if (stopped())
+    {
+      return;
+    }
     setState(State::READY);
     ROS_INFO("detector simulator: ready, %zu detectors, %s", detectors_.size(),
              exposures_ == 0 ? "endless" : (std::to_string(exposures_) + " exposures").c_str());
@@ -77,6 +85,10 @@ void DetectorSimulatorRos::run()
   }
   catch (const std::exception& error)
   {
+    if (stopped())
+    {
+      return;  // an error of what was left unfinished, if any
+    }
     setState(State::FAILED, error.what());
     ROS_ERROR("detector simulator: no exposures: %s", error.what());
   }
@@ -125,6 +137,12 @@ void DetectorSimulatorRos::prepare(int exposure)
   compute_time_ = std::max(Clock::now() - begin, compute_time_ * 4 / 5);
   const std::lock_guard<std::mutex> lock(mutex_);
   compute_seconds_ = seconds(Clock::now() - begin);
+}
+
+bool DetectorSimulatorRos::stopped()
+{
+  const std::lock_guard<std::mutex> lock(mutex_);
+  return stop_;
 }
 
 bool DetectorSimulatorRos::waitForStart()

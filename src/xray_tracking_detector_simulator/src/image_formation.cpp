@@ -11,7 +11,7 @@
 #include <opencv2/core/hal/hal.hpp>
 #include <opencv2/imgproc.hpp>
 
-#include "xray_tracking_detector_simulator/option_check.h"
+#include "xray_tracking_core/option_check.h"
 
 namespace xray_tracking
 {
@@ -86,11 +86,11 @@ ImageFormation::ImageFormation(const ImageFormationOptions& options, const Inten
   options.validate();
   if (intensity.kind != IntensityModel::Kind::COUNTS)
   {
-    throw std::invalid_argument("intensity.kind: attenuation, expected counts: that is what a detector reads out");
+    throw std::invalid_argument("intensity.kind is attenuation, expected counts: that is what a detector reads out");
   }
   if (!intensity.air_counts)
   {
-    throw std::invalid_argument("intensity.air_counts: absent, expected the counts behind air alone");
+    throw std::invalid_argument("intensity.air_counts is absent, expected the counts behind air alone");
   }
   constexpr double kMost = 65535.0;
   requireInRange("intensity.offset", intensity.offset, 0.0, kMost);

@@ -7,8 +7,8 @@
 #include <stdexcept>
 #include <utility>
 
+#include "xray_tracking_core/option_check.h"
 #include "xray_tracking_core/sequence/sequence.h"
-#include "xray_tracking_detector_simulator/option_check.h"
 
 namespace xray_tracking
 {
@@ -110,7 +110,7 @@ MotionType motionTypeFromName(const std::string& name)
     }
     names += std::string(names.empty() ? "" : ", ") + known;
   }
-  throw std::invalid_argument("motion/type: '" + name + "', expected one of " + names);
+  throw std::invalid_argument("motion/type is '" + name + "', expected one of " + names);
 }
 
 void MotionOptions::validate() const
@@ -127,10 +127,8 @@ void MotionOptions::validate() const
   requireInRange("motion/max_rotation_deg", max_rotation_deg, 0.0, 30.0);
   requireInRange("motion/rest_share", rest_share, 0.0, 1.0);
   requireInRange("motion/rest_jitter_mm", rest_jitter_mm, 0.0, 10.0);
-  if (type == MotionType::CSV && csv_file.empty())
-  {
-    throw std::invalid_argument("motion/csv_file: empty, expected the path of a table of poses");
-  }
+  requireOption(type != MotionType::CSV || !csv_file.empty(), "motion/csv_file", "empty",
+                "the path of a table of poses");
 }
 
 MotionModel::MotionModel(const MotionOptions& options, const RigidTransform& room_from_patient,

@@ -339,14 +339,14 @@ TEST(ImageFormation, BadOptionsAreNamed)
 {
   const double nan = std::numeric_limits<double>::quiet_NaN();
   const std::vector<std::pair<std::string, std::function<void(ImageFormationOptions&)>>> cases = {
-    { "image/scatter_fraction: 1.5", [](auto& o) { o.scatter_fraction = 1.5; } },
-    { "image/scatter_sigma_px: 2", [](auto& o) { o.scatter_sigma_px = 2.0; } },
-    { "image/blur_sigma_px: -1", [](auto& o) { o.blur_sigma_px = -1.0; } },
-    { "image/air_quanta: nan", [nan](auto& o) { o.air_quanta = nan; } },
-    { "image/electronic_noise: -5", [](auto& o) { o.electronic_noise = -5.0; } },
-    { "image/gain_drift: 2", [](auto& o) { o.gain_drift = 2.0; } },
-    { "image/offset_drift: inf", [](auto& o) { o.offset_drift = std::numeric_limits<double>::infinity(); } },
-    { "image/bits: 8", [](auto& o) { o.bits = 8; } },
+    { "image/scatter_fraction is 1.5", [](auto& o) { o.scatter_fraction = 1.5; } },
+    { "image/scatter_sigma_px is 2", [](auto& o) { o.scatter_sigma_px = 2.0; } },
+    { "image/blur_sigma_px is -1", [](auto& o) { o.blur_sigma_px = -1.0; } },
+    { "image/air_quanta is nan", [nan](auto& o) { o.air_quanta = nan; } },
+    { "image/electronic_noise is -5", [](auto& o) { o.electronic_noise = -5.0; } },
+    { "image/gain_drift is 2", [](auto& o) { o.gain_drift = 2.0; } },
+    { "image/offset_drift is inf", [](auto& o) { o.offset_drift = std::numeric_limits<double>::infinity(); } },
+    { "image/bits is 8", [](auto& o) { o.bits = 8; } },
   };
   EXPECT_NO_THROW(ImageFormationOptions().validate());
   for (const auto& [text, spoil] : cases)
@@ -365,11 +365,11 @@ TEST(ImageFormation, AnIntensityThatIsNotCountsIsRefused)
   expectThrowNaming<std::invalid_argument>("intensity.kind", [&] { ImageFormation({}, model, 1); });
   model = intensity();
   model.air_counts.reset();
-  expectThrowNaming<std::invalid_argument>("intensity.air_counts: absent", [&] { ImageFormation({}, model, 1); });
+  expectThrowNaming<std::invalid_argument>("intensity.air_counts is absent", [&] { ImageFormation({}, model, 1); });
   model.air_counts = 50.0;
-  expectThrowNaming<std::invalid_argument>("intensity.air_counts: 50", [&] { ImageFormation({}, model, 1); });
+  expectThrowNaming<std::invalid_argument>("intensity.air_counts is 50", [&] { ImageFormation({}, model, 1); });
   model.air_counts = 70000.0;
-  expectThrowNaming<std::invalid_argument>("intensity.air_counts: 70000", [&] { ImageFormation({}, model, 1); });
+  expectThrowNaming<std::invalid_argument>("intensity.air_counts is 70000", [&] { ImageFormation({}, model, 1); });
 }
 }  // namespace
 }  // namespace xray_tracking

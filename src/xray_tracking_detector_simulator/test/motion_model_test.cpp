@@ -274,15 +274,16 @@ TEST_F(MotionModelTest, BadFilesAreRefusedWithTheirName)
 TEST_F(MotionModelTest, BadOptionsAreNamed)
 {
   const std::vector<std::pair<std::string, std::function<void(MotionOptions&)>>> cases = {
-    { "motion/amplitude_mm[1]: 1000", [](auto& o) { o.amplitude_mm.y() = 1000.0; } },
-    { "motion/amplitude_deg[2]: nan", [](auto& o) { o.amplitude_deg.z() = std::numeric_limits<double>::quiet_NaN(); } },
-    { "motion/period: 0", [](auto& o) { o.period = 0.0; } },
-    { "motion/start: 0", [](auto& o) { o.start = 0; } },
-    { "motion/max_shift_mm: -1", [](auto& o) { o.max_shift_mm = -1.0; } },
-    { "motion/max_rotation_deg: 90", [](auto& o) { o.max_rotation_deg = 90.0; } },
-    { "motion/rest_share: 1.5", [](auto& o) { o.rest_share = 1.5; } },
-    { "motion/rest_jitter_mm: -0.4", [](auto& o) { o.rest_jitter_mm = -0.4; } },
-    { "motion/csv_file: empty", [](auto& o) { o.type = MotionType::CSV; } },
+    { "motion/amplitude_mm[1] is 1000", [](auto& o) { o.amplitude_mm.y() = 1000.0; } },
+    { "motion/amplitude_deg[2] is nan",
+      [](auto& o) { o.amplitude_deg.z() = std::numeric_limits<double>::quiet_NaN(); } },
+    { "motion/period is 0", [](auto& o) { o.period = 0.0; } },
+    { "motion/start is 0", [](auto& o) { o.start = 0; } },
+    { "motion/max_shift_mm is -1", [](auto& o) { o.max_shift_mm = -1.0; } },
+    { "motion/max_rotation_deg is 90", [](auto& o) { o.max_rotation_deg = 90.0; } },
+    { "motion/rest_share is 1.5", [](auto& o) { o.rest_share = 1.5; } },
+    { "motion/rest_jitter_mm is -0.4", [](auto& o) { o.rest_jitter_mm = -0.4; } },
+    { "motion/csv_file is empty", [](auto& o) { o.type = MotionType::CSV; } },
   };
   EXPECT_NO_THROW(MotionOptions().validate());
   for (const auto& [text, spoil] : cases)
@@ -292,7 +293,7 @@ TEST_F(MotionModelTest, BadOptionsAreNamed)
     expectThrowNaming<std::invalid_argument>(text, [&] { options.validate(); });
     expectThrowNaming<std::invalid_argument>(text, [&] { model(options); });
   }
-  expectThrowNaming<std::invalid_argument>("motion/type: 'dance'", [] { motionTypeFromName("dance"); });
+  expectThrowNaming<std::invalid_argument>("motion/type is 'dance'", [] { motionTypeFromName("dance"); });
 }
 }  // namespace
 }  // namespace xray_tracking

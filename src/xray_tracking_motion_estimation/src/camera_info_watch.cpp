@@ -53,7 +53,7 @@ ProjectionGeometry nominalGeometry(const std::string& detector, const sensor_msg
 }
 }  // namespace
 
-bool CameraInfoWatch::update(const std::string& detector, const sensor_msgs::CameraInfo& info)
+void CameraInfoWatch::update(const std::string& detector, const sensor_msgs::CameraInfo& info)
 {
   std::string fault;
   if (accepted_)
@@ -76,9 +76,7 @@ bool CameraInfoWatch::update(const std::string& detector, const sensor_msgs::Cam
       fault = error.what();
     }
   }
-  const bool changed = fault != fault_;
   fault_ = fault;
-  return changed;
 }
 
 ProjectionGeometry CameraInfoWatch::geometry(const std::string& detector, const RigidTransform& room_from_optical) const

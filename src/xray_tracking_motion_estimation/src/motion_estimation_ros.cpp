@@ -5,13 +5,13 @@
 #include <sstream>
 #include <stdexcept>
 
-#include <time.h>
-
 #include <geometry_msgs/PoseWithCovarianceStamped.h>
 #include <geometry_msgs/TransformStamped.h>
 
 #include "xray_tracking_conversions/conversions.h"
 #include "xray_tracking_conversions/parameters.h"
+#include "xray_tracking_core/option_check.h"
+#include "xray_tracking_core/stopwatch.h"
 
 namespace xray_tracking
 {
@@ -23,31 +23,11 @@ using xray_tracking_msgs::TrackedRegion;
 /// Templates refer to exposures of the last seconds; the reference in use is kept apart.
 constexpr std::size_t kHistoryCapacity = 1000;
 
-const char* stateName(std::uint8_t state)
+/// Of numbers that others have sent too: what ros::Duration does not hold would throw.
+ros::Duration durationFromSeconds(double seconds)
 {
-  static const char* const kNames[] = { "OK", "WAITING", "LOST", "INCONSISTENT", "NO_REFERENCE" };
-  return kNames[state];
+  return ros::Duration(std::clamp(seconds, 0.0, 1e9));
 }
-
-/// Time of this thread since construction: processor's and wall's.
-class Stopwatch
-{
-public:
-  ros::Duration processor() const { return ros::Duration(processorSeconds() - processor_start_); }
-  ros::Duration wall() const { return ros::Duration((ros::SteadyTime::now() - wall_start_).toSec()); }
-
-private:
-  static double processorSeconds()
-  {
-    timespec now;
-    clock_gettime(CLOCK_THREAD_CPUTIME_ID, &now);
-    return static_cast<double>(now.tv_sec) + 1e-9 * static_cast<double>(now.tv_nsec);
-  }
-
-  double processor_start_ = processorSeconds();
-  ros::SteadyTime wall_start_ = ros::SteadyTime::now();
-};
-
 }  // namespace
 
 MotionEstimationRos::MotionEstimationRos(const ros::NodeHandle& nh, const ros::NodeHandle& pnh)
@@ -73,40 +53,43 @@ MotionEstimationRos::MotionEstimationRos(const ros::NodeHandle& nh, const ros::N
   timer_ = nh_.createSteadyTimer(ros::WallDuration(1.0), &MotionEstimationRos::timerCb, this);
 }
 
+MotionEstimationRos::~MotionEstimationRos()
+{
+  // A nodelet's callbacks may be running in another thread: this waits for them, before any member goes.
+  timer_.stop();
+  for (View& view : views_)
+  {
+    view.camera_info_subscriber.shutdown();
+    view.tracked_region_subscriber.shutdown();
+  }
+}
+
 void MotionEstimationRos::start()
 {
-  const std::string setup_file = readParameter<std::string>(pnh_, "setup_file", "");
+  ParameterReader reader(pnh_);
+  const std::string setup_file = reader.read<std::string>("setup_file", "");
+  options_.method = estimationMethodFromName(reader.read<std::string>("method", "least_squares"));
+  options_.significance = reader.read("significance", options_.significance);
+  options_.floor_sigma = reader.read("floor_sigma", options_.floor_sigma);
+  options_.rotation_sigma = reader.read("rotation_sigma", options_.rotation_sigma);
+  options_.min_view_angle = reader.read("min_view_angle", options_.min_view_angle);
+  options_.validate();
+  const int queue_size = reader.read("queue_size", 100);
+  requireOption(queue_size >= 1, "queue_size", queue_size, "1 or more exposures");
+  view_timeout_ = reader.read("view_timeout", 2.0);
+  requireOption(view_timeout_ > 0.0, "view_timeout", view_timeout_, "a number > 0 s");
+  const std::vector<std::string> fallback = { "detector_a", "detector_b" };
+  const std::vector<std::string> detectors = reader.read("detectors", fallback);
+  requireOption(
+      detectors.size() >= 2 && std::set<std::string>(detectors.begin(), detectors.end()).size() == detectors.size(),
+      "the length of detectors", detectors.size(), "two or more names that differ");
+  reader.warnOfUnread();
   if (setup_file.empty())
   {
     throw std::invalid_argument("parameter " + pnh_.resolveName("setup_file") +
                                 " is not set, expected the path of a setup file");
   }
   setup_ = loadTreatmentSetup(setup_file);
-
-  options_.method = estimationMethodFromName(readParameter<std::string>(pnh_, "method", "least_squares"));
-  options_.significance = readParameter(pnh_, "significance", options_.significance);
-  options_.floor_sigma = readParameter(pnh_, "floor_sigma", options_.floor_sigma);
-  options_.rotation_sigma = readParameter(pnh_, "rotation_sigma", options_.rotation_sigma);
-  options_.min_view_angle = readParameter(pnh_, "min_view_angle", options_.min_view_angle);
-  options_.validate();
-
-  const int queue_size = readParameter(pnh_, "queue_size", 100);
-  if (queue_size < 1)
-  {
-    throw std::invalid_argument("queue_size is " + std::to_string(queue_size) + ", expected 1 or more exposures");
-  }
-  view_timeout_ = readParameter(pnh_, "view_timeout", 2.0);
-  if (!(view_timeout_ > 0.0))
-  {
-    throw std::invalid_argument("view_timeout is " + std::to_string(view_timeout_) + ", expected a number > 0 s");
-  }
-  const std::vector<std::string> fallback = { "detector_a", "detector_b" };
-  const std::vector<std::string> detectors = readParameter(pnh_, "detectors", fallback);
-  if (detectors.size() < 2 || std::set<std::string>(detectors.begin(), detectors.end()).size() != detectors.size())
-  {
-    throw std::invalid_argument("detectors has " + std::to_string(detectors.size()) +
-                                " names, expected two or more that differ");
-  }
 
   motion_publisher_ = nh_.advertise<PatientMotion>("patient_motion", 100);
   pose_publisher_ = nh_.advertise<geometry_msgs::PoseWithCovarianceStamped>("patient_pose", 100);
@@ -119,21 +102,13 @@ void MotionEstimationRos::start()
     View& view = views_[i];
     view.name = detectors[i];
     const boost::function<void(const sensor_msgs::CameraInfo::ConstPtr&)> camera_info_cb =
-        [this, &view](const sensor_msgs::CameraInfo::ConstPtr& info) { cameraInfoCb(*info, view); };
+        [this, &view](const sensor_msgs::CameraInfo::ConstPtr& info) { view.camera_info.update(view.name, *info); };
     view.camera_info_subscriber =
         nh_.subscribe<sensor_msgs::CameraInfo>(view.name + "/camera_info", 10, camera_info_cb, nullptr, no_delay);
     const boost::function<void(const TrackedRegion::ConstPtr&)> tracked_region_cb =
         [this, i](const TrackedRegion::ConstPtr& message) { trackedRegionCb(message, i); };
     view.tracked_region_subscriber =
         nh_.subscribe<TrackedRegion>(view.name + "/tracked_region", queue_size, tracked_region_cb, nullptr, no_delay);
-  }
-}
-
-void MotionEstimationRos::cameraInfoCb(const sensor_msgs::CameraInfo& info, View& view)
-{
-  if (view.camera_info.update(view.name, info) && !view.camera_info.fault().empty())
-  {
-    ROS_ERROR_STREAM(view.camera_info_subscriber.getTopic() << " ignored: " << view.camera_info.fault());
   }
 }
 
@@ -157,6 +132,7 @@ void MotionEstimationRos::trackedRegionCb(const TrackedRegion::ConstPtr& message
   }
 
   ++exposures_;
+  last_exposure_ = ros::SteadyTime::now();
   PatientMotion motion = motionFromStates();
   motion.header.stamp = message->header.stamp;
   motion.header.frame_id = kRoomFrame;
@@ -170,13 +146,15 @@ void MotionEstimationRos::trackedRegionCb(const TrackedRegion::ConstPtr& message
       ++poses_;
     }
   }
+  double cpu_seconds = 0.0;
+  double wall_seconds = 0.0;
   for (const TrackedRegion::ConstPtr& region : assembler_->exposure())
   {
-    motion.cpu_time += region->cpu_time;
-    motion.wall_time = std::max(motion.wall_time, region->wall_time);
+    cpu_seconds += region->cpu_time.toSec();
+    wall_seconds = std::max(wall_seconds, region->wall_time.toSec());
   }
-  motion.cpu_time += stopwatch.processor();
-  motion.wall_time += stopwatch.wall();
+  motion.cpu_time = durationFromSeconds(cpu_seconds + stopwatch.cpuSeconds());
+  motion.wall_time = durationFromSeconds(wall_seconds + stopwatch.wallSeconds());
   motion_publisher_.publish(motion);
   report(motion);
 }
@@ -208,21 +186,44 @@ PatientMotion MotionEstimationRos::motionFromStates() const
   return motion;
 }
 
-std::string MotionEstimationRos::makeEstimator()
+std::string MotionEstimationRos::checkGeometry()
 {
-  std::vector<ProjectionGeometry> geometries;
   try
   {
-    for (const View& view : views_)
+    for (View& view : views_)
     {
-      if (!view.camera_info.valid())
+      const CameraInfoWatch& camera_info = view.camera_info;
+      if (!camera_info.fault().empty())
       {
-        return "no valid " + view.camera_info_subscriber.getTopic() + " so far";
+        return view.name + ": " + camera_info.fault();
       }
-      const auto room_from_optical = tf_buffer_.lookupTransform(kRoomFrame, view.camera_info.frame(), ros::Time(0));
-      geometries.push_back(view.camera_info.geometry(view.name, rigidFromTransformMsg(room_from_optical.transform)));
+      if (!camera_info.valid())
+      {
+        return "no " + nh_.resolveName(view.name + "/camera_info") + " so far";
+      }
+      const auto message = tf_buffer_.lookupTransform(kRoomFrame, camera_info.frame(), ros::Time(0));
+      const RigidTransform room_from_optical = rigidFromTransformMsg(message.transform);
+      if (!estimator_)
+      {
+        view.room_from_optical = room_from_optical;
+      }
+      // Rounding of what combines transforms is let through; in mm and of the rotation times the distances, it is less
+      // than a micrometre.
+      else if (!room_from_optical.isApprox(view.room_from_optical, 1e-10))
+      {
+        return view.name + ": frame " + camera_info.frame() + " has moved in " + kRoomFrame +
+               ", expected it to stay where it was at first";
+      }
     }
-    estimator_.emplace(options_, std::move(geometries), setup_.targetCentre(), setup_.room_from_patient);
+    if (!estimator_)
+    {
+      std::vector<ProjectionGeometry> geometries;
+      for (const View& view : views_)
+      {
+        geometries.push_back(view.camera_info.geometry(view.name, view.room_from_optical));
+      }
+      estimator_.emplace(options_, std::move(geometries), setup_.targetCentre(), setup_.room_from_patient);
+    }
   }
   catch (const std::exception& error)  // tf2's, or of a geometry that is none
   {
@@ -268,7 +269,7 @@ std::string MotionEstimationRos::findReferences()
 
 std::optional<MotionEstimate> MotionEstimationRos::estimate(PatientMotion& motion)
 {
-  if (!estimator_ && !(motion.reason = makeEstimator()).empty())
+  if (!(motion.reason = checkGeometry()).empty())
   {
     motion.state = PatientMotion::WAITING;
     return std::nullopt;
@@ -317,21 +318,6 @@ void MotionEstimationRos::publishPose(const MotionEstimate& estimate, const ros:
   pose_publisher_.publish(pose);
 }
 
-void MotionEstimationRos::report(const PatientMotion& motion)
-{
-  const bool changed = !last_motion_ || last_motion_->state != motion.state;
-  last_motion_ = motion;
-  if (changed && motion.state == PatientMotion::OK)
-  {
-    ROS_INFO_STREAM("patient's motion: OK from " << motion.header.stamp);
-  }
-  else if (changed)
-  {
-    ROS_WARN_STREAM("patient's motion: " << stateName(motion.state) << " from " << motion.header.stamp << ": "
-                                         << motion.reason);
-  }
-}
-
 void MotionEstimationRos::forget()
 {
   history_.clear();
@@ -340,88 +326,6 @@ void MotionEstimationRos::forget()
   for (View& view : views_)
   {
     view.reference.reset();
-  }
-}
-
-void MotionEstimationRos::timerCb(const ros::SteadyTimerEvent&)
-{
-  const ros::SteadyTime now = ros::SteadyTime::now();
-  const auto quiet = [&](const View& view)
-  { return (now - std::max(view.last_arrival, first_arrival_)).toSec() > view_timeout_; };
-  const bool any_arrives = !first_arrival_.isZero() && !std::all_of(views_.begin(), views_.end(), quiet);
-  for (View& view : views_)
-  {
-    const bool silent = any_arrives && quiet(view);
-    if (silent && !view.silent)
-    {
-      ROS_WARN_STREAM("nothing arrives on " << view.tracked_region_subscriber.getTopic()
-                                            << " while other detectors send: no pose until it does");
-    }
-    view.silent = silent;
-  }
-  if (assembler_)
-  {
-    const std::size_t drops = assembler_->incomplete() + assembler_->duplicates() + assembler_->late();
-    ROS_WARN_STREAM_COND(drops != drops_at_last_warning_,
-                         "dropped so far: " << assembler_->incomplete() << " exposures that lack a view, "
-                                            << assembler_->duplicates() << " duplicates, " << assembler_->late()
-                                            << " late messages");
-    drops_at_last_warning_ = drops;
-  }
-  updater_.force_update();
-}
-
-void MotionEstimationRos::diagnose(diagnostic_updater::DiagnosticStatusWrapper& status)
-{
-  using diagnostic_msgs::DiagnosticStatus;
-  if (!configuration_fault_.empty())
-  {
-    status.summary(DiagnosticStatus::ERROR, configuration_fault_);
-    return;
-  }
-  if (!last_motion_)
-  {
-    status.summary(DiagnosticStatus::WARN, "no exposure so far");
-  }
-  else if (last_motion_->state == PatientMotion::OK)
-  {
-    status.summary(DiagnosticStatus::OK, "OK");
-  }
-  else
-  {
-    const bool waiting = last_motion_->state == PatientMotion::WAITING;
-    status.summary(waiting ? DiagnosticStatus::WARN : DiagnosticStatus::ERROR,
-                   std::string(stateName(last_motion_->state)) + ": " + last_motion_->reason);
-  }
-  for (const View& view : views_)
-  {
-    if (view.silent)
-    {
-      status.mergeSummary(DiagnosticStatus::WARN, view.name + " is silent");
-    }
-    if (!view.camera_info.fault().empty())
-    {
-      status.mergeSummary(DiagnosticStatus::ERROR, view.name + "/camera_info ignored: " + view.camera_info.fault());
-    }
-  }
-
-  const ros::SteadyTime now = ros::SteadyTime::now();
-  const double elapsed = (now - last_diagnosis_).toSec();
-  status.add("rate [Hz]", static_cast<double>(exposures_ - exposures_at_last_diagnosis_) / elapsed);
-  last_diagnosis_ = now;
-  exposures_at_last_diagnosis_ = exposures_;
-  status.add("exposures", exposures_);
-  status.add("poses", poses_);
-  status.add("exposures dropped, a view missing", assembler_->incomplete());
-  status.add("duplicates dropped", assembler_->duplicates());
-  status.add("late messages dropped", assembler_->late());
-  if (last_motion_)
-  {
-    status.add("state", stateName(last_motion_->state));
-    status.add("disagreement [px]", last_motion_->disagreement);
-    status.add("chi-square", last_motion_->chi_square);
-    status.add("processor time of the exposure [s]", last_motion_->cpu_time.toSec());
-    status.add("wall time of the exposure [s]", last_motion_->wall_time.toSec());
   }
 }
 }  // namespace xray_tracking

@@ -10,22 +10,14 @@
 #include <Eigen/LU>
 #include <boost/math/distributions/chi_squared.hpp>
 
+#include "xray_tracking_core/option_check.h"
+
 namespace xray_tracking
 {
 namespace
 {
 constexpr double kConverged = 1e-9;  // mm
 constexpr int kMaxIterations = 20;
-
-void require(bool condition, const std::string& key, double value, const std::string& expected)
-{
-  if (!condition)
-  {
-    std::ostringstream message;
-    message << key << " is " << value << ", expected " << expected;
-    throw std::invalid_argument(message.str());
-  }
-}
 
 /// Refuses views that see the target along one line only: nothing would fix its place on that line.
 void requireParallax(const std::vector<ProjectionGeometry>& views, const Eigen::Vector3d& target, double min_angle)
@@ -71,11 +63,12 @@ EstimationMethod estimationMethodFromName(const std::string& name)
 
 void MotionEstimationOptions::validate() const
 {
-  require(significance > 0.0 && significance < 1.0, "significance", significance, "a probability in (0, 1)");
-  require(floor_sigma > 0.0 && std::isfinite(floor_sigma), "floor_sigma", floor_sigma, "a number > 0 px");
-  require(rotation_sigma > 0.0 && std::isfinite(rotation_sigma), "rotation_sigma", rotation_sigma, "a number > 0 rad");
-  require(min_view_angle > 0.0 && min_view_angle < M_PI / 2, "min_view_angle", min_view_angle,
-          "an angle in (0, pi / 2) rad");
+  requireOption(significance > 0.0 && significance < 1.0, "significance", significance, "a probability in (0, 1)");
+  requireOption(floor_sigma > 0.0 && std::isfinite(floor_sigma), "floor_sigma", floor_sigma, "a number > 0 px");
+  requireOption(rotation_sigma > 0.0 && std::isfinite(rotation_sigma), "rotation_sigma", rotation_sigma,
+                "a number > 0 rad");
+  requireOption(min_view_angle > 0.0 && min_view_angle < M_PI / 2, "min_view_angle", min_view_angle,
+                "an angle in (0, pi / 2) rad");
 }
 
 MotionEstimator::MotionEstimator(const MotionEstimationOptions& options, std::vector<ProjectionGeometry> views,
@@ -88,11 +81,11 @@ MotionEstimator::MotionEstimator(const MotionEstimationOptions& options, std::ve
     reference_target_(reference_ * target_centre_)
 {
   options_.validate();
-  require(views_.size() >= 2, "the number of views", static_cast<double>(views_.size()), "two or more");
+  requireOption(views_.size() >= 2, "the number of views", views_.size(), "two or more");
   for (const ProjectionGeometry& view : views_)
   {
-    require(view.depth(reference_target_) > 0.0, "the target's distance from the source of " + view.name(),
-            view.depth(reference_target_), "a number > 0 mm: a target in front of the source");
+    requireOption(view.depth(reference_target_) > 0.0, "the target's distance from the source of " + view.name(),
+                  view.depth(reference_target_), "a number > 0 mm: a target in front of the source");
   }
   requireParallax(views_, reference_target_, options_.min_view_angle);
 
@@ -111,8 +104,7 @@ MotionEstimator::MotionEstimator(const MotionEstimationOptions& options, std::ve
 
 MotionEstimate MotionEstimator::estimate(const std::vector<ViewMeasurement>& measurements) const
 {
-  require(measurements.size() == views_.size(), "the number of measurements", static_cast<double>(measurements.size()),
-          "one a view");
+  requireOption(measurements.size() == views_.size(), "the number of measurements", measurements.size(), "one a view");
   MotionEstimate invalid;
   for (std::size_t i = 0; i < views_.size(); ++i)
   {
@@ -150,10 +142,11 @@ std::string MotionEstimator::fault(std::size_t view, const ViewMeasurement& meas
   }
   const Eigen::Matrix2d& covariance = measurement.covariance;
   if (!covariance.allFinite() || covariance.diagonal().minCoeff() < 0.0 ||
+      !covariance.isApprox(covariance.transpose()) ||
       Eigen::LLT<Eigen::Matrix2d>(measurementCovariance(measurement)).info() != Eigen::Success)
   {
     return describe("covariance is [", covariance.row(0), "; ", covariance.row(1),
-                    "] px^2, expected a positive semidefinite matrix");
+                    "] px^2, expected a symmetric positive semidefinite matrix");
   }
   if (!observedPixel(view, measurement).allFinite())
   {

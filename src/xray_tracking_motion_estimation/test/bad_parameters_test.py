@@ -1,9 +1,11 @@
 #!/usr/bin/python3
 """Nodes with parameters that they cannot work with say so in diagnostics, again and again, and stay alive."""
 
+import subprocess
 import threading
 import unittest
 
+import roslib.packages
 import rospy
 import rostest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -46,6 +48,16 @@ class BadParametersTest(unittest.TestCase):
                 self.assertEqual(status.level, DiagnosticStatus.ERROR)
                 for word in words:
                     self.assertIn(word, status.message)
+
+    def test_a_misspelt_parameter_is_named(self):
+        rospy.set_param('/misspelt/flor_sigma', 0.7)
+        node = roslib.packages.find_node('xray_tracking_motion_estimation', 'motion_estimation_node')[0]
+        process = subprocess.Popen([node, '__name:=misspelt'], stderr=subprocess.PIPE, text=True)
+        # The test's time limit bounds this.
+        line = next(line for line in process.stderr if 'WARN' in line or 'FATAL' in line)
+        process.terminate()
+        process.communicate()
+        self.assertIn('/misspelt/flor_sigma', line)
 
 
 if __name__ == '__main__':

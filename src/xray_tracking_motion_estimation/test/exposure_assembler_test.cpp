@@ -86,6 +86,29 @@ TEST(ExposureAssembler, StartsAgainAfterABackwardJump)
   EXPECT_EQ(assembler.add(1, 11 * kSecond, ""), Outcome::PENDING);
 }
 
+// A view falls silent, the queue fills with what the other one sends, and the recording starts again.
+TEST(ExposureAssembler, StartsAgainWithAFullQueue)
+{
+  for (const bool completed_before : { false, true })
+  {
+    Assembler assembler(2, 3);
+    if (completed_before)
+    {
+      assembler.add(0, 10 * kSecond, "");
+      assembler.add(1, 10 * kSecond, "");
+    }
+    for (int i = 1; i <= 10; ++i)
+    {
+      assembler.add(0, 10 * kSecond + i, "before the jump");
+    }
+    EXPECT_EQ(assembler.incomplete(), 7u);
+    EXPECT_EQ(assembler.add(0, kSecond, "a"), Outcome::PENDING);
+    EXPECT_EQ(assembler.add(1, kSecond, "b"), Outcome::COMPLETE);
+    EXPECT_EQ(assembler.exposure(), (std::vector<std::string>{ "a", "b" }));
+    EXPECT_EQ(assembler.restarted(), completed_before);
+  }
+}
+
 TEST(ExposureAssembler, AStrayOldMessageIsNoRestart)
 {
   Assembler assembler(2, 10);

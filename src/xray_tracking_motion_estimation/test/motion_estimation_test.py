@@ -311,7 +311,11 @@ class MotionEstimationTest(unittest.TestCase):
         answer = self.expose(regions, 2)
         self.assertEqual(answer.state, PatientMotion.LOST)
         self.assertIn('detector_a: covariance', answer.reason)
-        self.expose(self.regions(3), 3)
+        # Times that add up to more than a duration holds.
+        regions = self.regions(3)
+        for region in regions:
+            region.cpu_time = rospy.Duration(2 ** 31 - 1)
+        self.expose(regions, 3)
         for index in (1, 2):
             self.expect_no_pose(index, 3)
 
@@ -370,6 +374,7 @@ class MotionEstimationTest(unittest.TestCase):
         self.graph.diagnosis(lambda s: int(value(s, key)) - int(value(before, key)) == last - 1, 'drops')
 
     def test_camera_info_that_changes(self):
+        """No pose with a geometry that may not be the detector's, and poses again when the first one is back."""
         self.expose(self.regions(0), 0)
         damages = [('K[0]', 'K', [0.0] * 9), ('K[2]', 'K', None), ('width', 'width', 100)]
         for index, (name, field, damaged) in enumerate(damages, 1):
@@ -382,10 +387,40 @@ class MotionEstimationTest(unittest.TestCase):
             status = self.graph.diagnosis(lambda s, n=name: n in s.message, name)
             self.assertEqual(status.level, DiagnosticStatus.ERROR)
             self.assertIn('detector_b', status.message)
-            self.expose(self.regions(index), index)
-            self.expect_pose(index)
+            answer = self.expose(self.regions(index), index)
+            self.assertEqual(answer.state, PatientMotion.WAITING)
+            self.assertIn('detector_b', answer.reason)
+            self.assertIn(name, answer.reason)
         self.graph.infos[1].publish(self.graph.detectors[1].camera_info())
-        self.graph.diagnosis(lambda s: s.level == DiagnosticStatus.OK, 'recovery')
+        self.graph.diagnosis(lambda s: s.level != DiagnosticStatus.ERROR, 'recovery')
+        last = len(damages) + 1
+        self.expose(self.regions(last), last)
+        for index in range(1, last):
+            self.expect_no_pose(index, last)
+
+    def test_detector_that_moves_on_tf(self):
+        graph = self.graph
+        self.expose(self.regions(0), 0)
+        moved = [d.transform() for d in graph.detectors]
+        moved[1].transform.translation.y += 1e-3
+        index = 0
+        for transforms, state in ((moved, PatientMotion.WAITING),
+                                  ([d.transform() for d in graph.detectors], PatientMotion.OK)):
+            graph.tf_static.publish(TFMessage(transforms))
+            deadline = rospy.get_time() + TIMEOUT
+            while True:
+                index += 1
+                answer = self.expose(self.regions(index), index)
+                if answer.state == PatientMotion.OK:
+                    self.expect_pose(index)
+                if answer.state == state:
+                    break
+                self.assertLess(rospy.get_time(), deadline, answer)
+                rospy.sleep(0.02)
+            if state == PatientMotion.WAITING:
+                self.assertIn('detector_b_optical_frame has moved', answer.reason)
+                waiting = index
+        self.expect_no_pose(waiting, index)
 
 
 if __name__ == '__main__':

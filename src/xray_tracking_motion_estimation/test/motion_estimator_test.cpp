@@ -500,6 +500,7 @@ TEST(BadInput, MeasurementsThatAreNoneAreRefused)
     refused("detector_b: covariance", [](auto& track) { track.covariance(0, 1) = kNaN; });
     refused("detector_b: covariance", [](auto& track) { track.covariance(1, 1) = -0.1; });
     refused("detector_b: covariance", [](auto& track) { track.covariance << 1.0, 5.0, 5.0, 1.0; });
+    refused("detector_b: covariance", [](auto& track) { track.covariance << 1.0, 0.5, 0.0, 1.0; });
     refused("detector_b: the target", [](auto& track) { track.room_from_patient.translation().z() += 1e5; });
     refused("sources", [](auto& track) { track.displacement.y() = 1e200; });
     EXPECT_THROW(estimator.estimate({}), std::invalid_argument);

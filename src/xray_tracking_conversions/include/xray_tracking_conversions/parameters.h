@@ -1,11 +1,13 @@
 #pragma once
 
+#include <set>
 #include <sstream>
 #include <stdexcept>
 #include <string>
 #include <vector>
 
 #include <XmlRpcValue.h>
+#include <ros/console.h>
 #include <ros/node_handle.h>
 
 namespace xray_tracking
@@ -55,4 +57,42 @@ Value readParameter(const ros::NodeHandle& handle, const std::string& key, const
   }
   return value;
 }
+
+/// Reads a node's private parameters and knows which ones are there in vain: a misspelt name is otherwise taken for a
+/// parameter that is not set.
+class ParameterReader
+{
+public:
+  /// @param handle of the node's private namespace
+  explicit ParameterReader(const ros::NodeHandle& handle) : handle_(handle) {}
+
+  /// As readParameter().
+  template <typename Value>
+  Value read(const std::string& key, const Value& fallback)
+  {
+    read_.insert(handle_.resolveName(key));
+    return readParameter(handle_, key, fallback);
+  }
+
+  /// Logs a warning for every parameter in the namespace that has not been read. Call it when all have been.
+  void warnOfUnread() const
+  {
+    const std::string name_space = handle_.getNamespace() + "/";
+    std::vector<std::string> names;
+    handle_.getParamNames(names);
+    for (const std::string& name : names)
+    {
+      // The diagnostic updater reads its period itself.
+      if (name.compare(0, name_space.size(), name_space) == 0 && read_.count(name) == 0 &&
+          name != name_space + "diagnostic_period")
+      {
+        ROS_WARN_STREAM("parameter " << name << " is set, but there is none of this name: it has no effect");
+      }
+    }
+  }
+
+private:
+  ros::NodeHandle handle_;
+  std::set<std::string> read_;  ///< resolved
+};
 }  // namespace xray_tracking

@@ -13,6 +13,7 @@
 #include <sensor_msgs/CameraInfo.h>
 #include <sensor_msgs/Image.h>
 #include <std_srvs/Trigger.h>
+#include <tbb/task_group.h>
 #include <tf2_ros/transform_broadcaster.h>
 
 #include "xray_tracking_detector_simulator/detector_simulator.h"
@@ -53,6 +54,7 @@ private:
   /// Computes an exposure into the detectors' next images.
   void prepare(int exposure);
   void publish();
+  bool stopped();
   bool waitForStart();
   bool everyImageHasSubscriber() const;
   void runExposures();
@@ -94,8 +96,9 @@ private:
   double compute_seconds_ = 0.0;
 
   diagnostic_updater::Updater updater_;
-  ros::Timer diagnostics_timer_;
+  ros::SteadyTimer diagnostics_timer_;
   ros::ServiceServer start_service_;
+  tbb::task_group computing_;  ///< all that the worker does, so that its loops on all cores can be cancelled
   std::thread worker_;
 };
 }  // namespace xray_tracking

@@ -13,8 +13,7 @@ namespace xray_tracking
 class CameraInfoWatch
 {
 public:
-  /// @return true if fault() has changed
-  bool update(const std::string& detector, const sensor_msgs::CameraInfo& info);
+  void update(const std::string& detector, const sensor_msgs::CameraInfo& info);
 
   bool valid() const { return accepted_.has_value(); }
   /// The frame that a valid camera_info is given in.

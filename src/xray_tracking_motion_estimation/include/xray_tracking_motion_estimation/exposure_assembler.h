@@ -43,7 +43,13 @@ public:
       ++late_;
       return Outcome::LATE;
     }
-    auto& items = pending_.emplace(stamp, std::vector<std::optional<Item>>(views_)).first->second;
+    const auto [entry, is_new] = pending_.try_emplace(stamp);
+    auto& items = entry->second.items;
+    if (is_new)
+    {
+      items.resize(views_);
+      entry->second.number = ++number_;
+    }
     if (items[view])
     {
       ++duplicates_;
@@ -54,8 +60,11 @@ public:
     {
       if (pending_.size() > capacity_)
       {
-        pending_.erase(pending_.begin());
-        ++incomplete_;
+        // The one that came first, not the one of the lowest stamp: that may be the first after a backward jump.
+        const auto first =
+            std::min_element(pending_.begin(), pending_.end(),
+                             [](const auto& a, const auto& b) { return a.second.number < b.second.number; });
+        giveUp(first, std::next(first));
       }
       return Outcome::PENDING;
     }
@@ -80,7 +89,7 @@ private:
   {
     const auto entry = pending_.find(stamp);
     exposure_.clear();
-    for (std::optional<Item>& item : entry->second)
+    for (std::optional<Item>& item : entry->second.items)
     {
       exposure_.push_back(std::move(*item));
     }
@@ -95,7 +104,12 @@ private:
     last_ = stamp;
   }
 
-  using Pending = std::map<std::int64_t, std::vector<std::optional<Item>>>;
+  struct Exposure
+  {
+    std::vector<std::optional<Item>> items;  ///< one a view
+    std::uint64_t number = 0;                ///< order of arrival
+  };
+  using Pending = std::map<std::int64_t, Exposure>;
   void giveUp(typename Pending::iterator begin, typename Pending::iterator end)
   {
     incomplete_ += static_cast<std::size_t>(std::distance(begin, end));
@@ -105,6 +119,7 @@ private:
   std::size_t views_;
   std::size_t capacity_;
   Pending pending_;
+  std::uint64_t number_ = 0;
   std::vector<Item> exposure_;
   std::optional<std::int64_t> last_;
   bool restarted_ = false;

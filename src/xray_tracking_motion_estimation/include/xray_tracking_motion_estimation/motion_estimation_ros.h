@@ -32,6 +32,7 @@ class MotionEstimationRos
 {
 public:
   MotionEstimationRos(const ros::NodeHandle& nh, const ros::NodeHandle& pnh);
+  ~MotionEstimationRos();
 
 private:
   using PatientMotion = xray_tracking_msgs::PatientMotion;
@@ -43,24 +44,28 @@ private:
     ros::Subscriber camera_info_subscriber;
     ros::Subscriber tracked_region_subscriber;
     CameraInfoWatch camera_info;
+    RigidTransform room_from_optical;  ///< the one that the estimator uses, if there is one
     std::optional<std::pair<ros::Time, RigidTransform>> reference;  ///< what the template in use was trained on
     ros::SteadyTime last_arrival;
     bool silent = false;
+    std::string logged_fault;  ///< of camera_info
   };
 
   void start();
-  void cameraInfoCb(const sensor_msgs::CameraInfo& info, View& view);
   void trackedRegionCb(const TrackedRegion::ConstPtr& message, std::size_t view);
   void timerCb(const ros::SteadyTimerEvent& event);
 
   /// The state of the last complete exposure before anything is estimated; OK if it can be.
   PatientMotion motionFromStates() const;
-  /// @return why there is none; empty if there is
-  std::string makeEstimator();
+  /// Makes the estimator, or sees whether the geometry is still the one that it was made with; never estimates with
+  /// another. @return what is wrong; empty if nothing is
+  std::string checkGeometry();
+  /// @return which reference exposure's pose is not known; empty if all are
   std::string findReferences();
   std::optional<MotionEstimate> estimate(PatientMotion& motion);
   void publishPose(const MotionEstimate& estimate, const ros::Time& stamp);
   void report(const PatientMotion& motion);
+  void logMotion();
   void forget();
   void diagnose(diagnostic_updater::DiagnosticStatusWrapper& status);
 
@@ -78,7 +83,9 @@ private:
   std::vector<ViewMeasurement> measurements_;
 
   std::optional<PatientMotion> last_motion_;
+  std::string logged_reason_;  ///< of the last motion that was logged
   ros::SteadyTime first_arrival_;
+  ros::SteadyTime last_exposure_;  ///< when the last one was complete
   std::size_t exposures_ = 0;
   std::size_t poses_ = 0;
   std::size_t exposures_at_last_diagnosis_ = 0;
