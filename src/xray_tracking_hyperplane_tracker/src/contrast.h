@@ -1,0 +1,26 @@
+#pragma once
+
+#include <string>
+
+#include "point_sampler.h"
+#include "predictor.h"
+
+namespace xray_tracking
+{
+/// How well a region's texture fixes a translation, before anything is learnt. Grey values in the sense of the
+/// intensity model.
+struct ContrastCheck
+{
+  double noise = 0.0;           ///< standard deviation of the white noise
+  double gradient = 0.0;        ///< rms grey-value change a pixel in the weakest direction, without the noise's share
+  double predicted_sd = 0.0;    ///< of the displacement in that direction [px]: Cramer-Rao bound; infinity: no texture
+  double least_variance = 0.0;  ///< of a difference of two grey values, from quantisation alone
+};
+
+/// @param nuisance what is not counted as texture
+ContrastCheck checkContrast(const cv::Mat& image, const IntensityModel& intensity, const cv::Rect& region,
+                            const Points& points, const Nuisance& nuisance);
+
+/// "width x height at (x, y)"
+std::string describe(const cv::Rect& region);
+}  // namespace xray_tracking
