@@ -1,0 +1,52 @@
+#pragma once
+
+#include <cstdint>
+#include <map>
+#include <string>
+#include <vector>
+
+#include <geometry_msgs/PoseWithCovarianceStamped.h>
+#include <ros/ros.h>
+#include <tf2_ros/static_transform_broadcaster.h>
+#include <visualization_msgs/MarkerArray.h>
+#include <xray_tracking_msgs/TrackedRegion.h>
+
+#include "xray_tracking_core/sequence/treatment_setup.h"
+
+namespace xray_tracking
+{
+/// Puts a setup file's treatment room on tf and into RViz.
+///
+/// Parameters: ~setup_file (path), ~trail_length (exposures).
+/// Publishes: treatment_room_markers (visualization_msgs/MarkerArray, latched); static tf treatment_room ->
+///   <detector>_optical_frame and patient -> target.
+/// Subscribes: patient_pose, <detector>/tracked_region.
+/// With a bad parameter it says so and stays idle.
+class TreatmentRoomPublisherRos
+{
+public:
+  TreatmentRoomPublisherRos(ros::NodeHandle nh, ros::NodeHandle pnh);
+
+private:
+  void start(const ros::NodeHandle& pnh);
+  void poseCallback(const geometry_msgs::PoseWithCovarianceStamped& message);
+  void regionCallback(std::size_t detector, const xray_tracking_msgs::TrackedRegion& message);
+  void publishMarkers();
+
+  ros::NodeHandle nh_;
+  TreatmentSetup setup_;
+  std::size_t trail_length_ = 0;
+
+  std::vector<visualization_msgs::Marker> static_markers_;
+  std::map<std::size_t, std::vector<visualization_msgs::Marker>> region_markers_;  // by detector
+  std::vector<geometry_msgs::Point> trail_;
+  ros::Time last_pose_stamp_;
+  bool changed_ = true;
+
+  tf2_ros::StaticTransformBroadcaster broadcaster_;
+  ros::Publisher marker_publisher_;
+  ros::WallTimer timer_;
+  ros::Subscriber pose_subscriber_;
+  std::vector<ros::Subscriber> region_subscribers_;
+};
+}  // namespace xray_tracking

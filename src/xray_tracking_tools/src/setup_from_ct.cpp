@@ -1,0 +1,71 @@
+#include <cmath>
+#include <filesystem>
+#include <iostream>
+
+#include "xray_tracking_core/volume/ct_volume.h"
+#include "xray_tracking_tools/command_line.h"
+#include "xray_tracking_tools/exposure_set.h"
+
+namespace po = boost::program_options;
+
+namespace xray_tracking
+{
+namespace
+{
+Eigen::Vector3d targetCentre(const po::variables_map& arguments, const std::string& ct_path, double edge)
+{
+  if (arguments.count("target") == 0)
+  {
+    std::cerr << "reading " << ct_path << std::endl;
+    return findBonyTarget(readCtVolume(ct_path), edge);
+  }
+  const std::vector<double>& target = arguments["target"].as<std::vector<double>>();
+  const Eigen::Vector3d centre = target.size() == 3 ? Eigen::Vector3d(target.data()) : Eigen::Vector3d::Constant(NAN);
+  if (!centre.allFinite())
+  {
+    throw std::invalid_argument("--target has " + std::to_string(target.size()) + " values, expected 3 finite ones");
+  }
+  return centre;
+}
+
+int setupFromCt(const po::variables_map& arguments)
+{
+  const std::string ct_path = arguments["CT"].as<std::string>();
+  const std::string setup_path = arguments["OUT.yaml"].as<std::string>();
+  const double edge = arguments["edge"].as<double>();
+  requireAtLeast("--edge", edge, 1.0);
+  if (!std::filesystem::exists(ct_path))
+  {
+    throw std::invalid_argument(ct_path + ": no such file or folder");
+  }
+  const Eigen::Vector3d centre = targetCentre(arguments, ct_path, edge);
+
+  TreatmentSetup setup;
+  setup.ct_path = std::filesystem::canonical(ct_path).string();
+  setup.intensity.offset = 100.0;
+  setup.intensity.air_counts = 60000.0;
+  setup.detectors = loadDetectors(coreConfigPath("geometry/cyberknife.yaml"));
+  const Eigen::Vector3d half_edge = Eigen::Vector3d::Constant(0.5 * edge);
+  setup.target_box = Eigen::AlignedBox3d(centre - half_edge, centre + half_edge);
+  // Supine, superior along room x; the box centre comes to lie in the isocentre.
+  const Eigen::Quaterniond room_from_patient(-0.5, 0.5, -0.5, 0.5);  // w, x, y, z
+  setup.room_from_patient = makeRigidTransform(-(room_from_patient * centre), room_from_patient);
+  saveTreatmentSetup(setup, setup_path);
+  std::cout << "target centre " << centre.transpose() << " mm, written to " << setup_path << std::endl;
+  return 0;
+}
+}  // namespace
+}  // namespace xray_tracking
+
+int main(int argc, char** argv)
+{
+  xray_tracking::CommandLine command_line;
+  command_line.usage = "CT OUT.yaml [--target X Y Z] [--edge 50]";
+  command_line.description =
+      "Writes a setup file for a CT of which nothing else is known: CyberKnife geometry, the target in the isocentre.";
+  command_line.arguments = { "CT", "OUT.yaml" };
+  command_line.options.add_options()("target", po::value<std::vector<double>>()->multitoken(),
+                                     "target's centre, patient frame (LPS) [mm]; default: where most bone is")(
+      "edge", po::value<double>()->default_value(50.0), "edge of the target box [mm]");
+  return xray_tracking::runCommand(argc, argv, command_line, xray_tracking::setupFromCt);
+}

@@ -1,0 +1,213 @@
+#include "xray_tracking_tools/tracking_record.h"
+
+#include <cstdio>
+#include <stdexcept>
+
+#include <geometry_msgs/PoseStamped.h>
+#include <geometry_msgs/PoseWithCovarianceStamped.h>
+#include <rosbag/bag.h>
+#include <rosbag/view.h>
+#include <sensor_msgs/CameraInfo.h>
+
+#include "xray_tracking_conversions/conversions.h"
+
+namespace xray_tracking
+{
+namespace
+{
+using xray_tracking_msgs::PatientMotion;
+
+std::string secondsText(std::int64_t stamp_ns)
+{
+  char text[32];
+  std::snprintf(text, sizeof(text), "%.4f s", stamp_ns * 1e-9);
+  return text;
+}
+
+template <typename T>
+void insertOnce(std::map<std::int64_t, T>& by_stamp, std::int64_t stamp_ns, const T& value)
+{
+  if (!by_stamp.emplace(stamp_ns, value).second)
+  {
+    throw std::invalid_argument("two messages of one exposure");
+  }
+}
+
+void readMessage(const rosbag::MessageInstance& instance, const std::string& topic, std::int64_t epoch_ns,
+                 TrackingRecord& record)
+{
+  std::int64_t stamp_ns = 0;
+  try
+  {
+    if (const auto motion = instance.instantiate<PatientMotion>())
+    {
+      stamp_ns = nanosecondsFromTime(motion->header.stamp) - epoch_ns;
+      if (motion->state > PatientMotion::NO_REFERENCE)
+      {
+        throw std::invalid_argument("state is " + std::to_string(motion->state) + ", expected 0 to 4");
+      }
+      insertOnce(record.motions, stamp_ns, *motion);
+    }
+    else if (const auto pose = instance.instantiate<geometry_msgs::PoseWithCovarianceStamped>())
+    {
+      stamp_ns = nanosecondsFromTime(pose->header.stamp) - epoch_ns;
+      insertOnce(record.poses, stamp_ns, rigidFromPoseMsg(pose->pose.pose));
+    }
+    else if (const auto truth = instance.instantiate<geometry_msgs::PoseStamped>())
+    {
+      stamp_ns = nanosecondsFromTime(truth->header.stamp) - epoch_ns;
+      insertOnce(record.ground_truth, stamp_ns, rigidFromPoseMsg(truth->pose));
+    }
+    else if (const auto info = instance.instantiate<sensor_msgs::CameraInfo>())
+    {
+      stamp_ns = nanosecondsFromTime(info->header.stamp) - epoch_ns;
+    }
+    else
+    {
+      throw std::invalid_argument("messages are " + instance.getDataType());
+    }
+  }
+  catch (const std::invalid_argument& e)
+  {
+    throw std::runtime_error(topic + " at " + secondsText(stamp_ns) + ": " + e.what());
+  }
+  record.exposures.insert(stamp_ns);
+}
+
+FrameResult frameResult(const TrackingRecord& record, std::int64_t stamp_ns)
+{
+  FrameResult result;
+  const auto motion = record.motions.find(stamp_ns);
+  if (motion == record.motions.end())
+  {
+    return result;
+  }
+  result.cpu_s = motion->second.cpu_time.toSec();
+  result.wall_s = motion->second.wall_time.toSec();
+  if (motion->second.state != PatientMotion::OK)
+  {
+    result.status = FrameStatus::LOST;
+    return result;
+  }
+  const auto pose = record.poses.find(stamp_ns);
+  if (pose != record.poses.end())
+  {
+    result.status = FrameStatus::OK;
+    result.room_from_patient = pose->second;
+  }
+  return result;
+}
+
+void addTracking(const TrackingRecord& record, Evaluation& evaluation)
+{
+  MethodResult tracking;
+  tracking.method = "tracking";
+  for (const std::int64_t stamp_ns : evaluation.stamps_ns)
+  {
+    tracking.frames.push_back(frameResult(record, stamp_ns));
+  }
+  evaluation.methods.push_back(tracking);
+}
+}  // namespace
+
+TrackingRecord readTrackingRecord(const std::string& bag_path, std::int64_t epoch_ns)
+{
+  try
+  {
+    TrackingRecord record;
+    rosbag::Bag bag(bag_path, rosbag::bagmode::Read);
+    rosbag::View view(bag,
+                      [](const rosbag::ConnectionInfo* connection)
+                      {
+                        const std::string name = connection->topic.substr(connection->topic.rfind('/') + 1);
+                        return name == "patient_motion" || name == "patient_pose" || name == "patient_ground_truth" ||
+                               name == "camera_info";
+                      });
+    for (const rosbag::MessageInstance& instance : view)
+    {
+      readMessage(instance, instance.getTopic(), epoch_ns, record);
+    }
+    return record;
+  }
+  catch (const std::exception& e)
+  {
+    throw std::runtime_error(bag_path + ": " + e.what());
+  }
+}
+
+Evaluation evaluateRecord(const TrackingRecord& record, const std::string& name, const Eigen::AlignedBox3d& target_box)
+{
+  if (record.exposures.empty())
+  {
+    throw std::runtime_error("the bag has no exposure: no patient_motion, patient_ground_truth or camera_info");
+  }
+  Evaluation evaluation;
+  evaluation.sequence = name;
+  evaluation.target_box = target_box;
+  for (const std::int64_t stamp_ns : record.exposures)
+  {
+    evaluation.stamps_ns.push_back(stamp_ns);
+    if (record.ground_truth.empty())
+    {
+      continue;
+    }
+    const auto truth = record.ground_truth.find(stamp_ns);
+    if (truth == record.ground_truth.end())
+    {
+      throw std::runtime_error("the exposure at " + secondsText(stamp_ns) +
+                               " has no patient_ground_truth, others have");
+    }
+    evaluation.gold_standard.push_back(truth->second);
+  }
+  addTracking(record, evaluation);
+  return evaluation;
+}
+
+Evaluation evaluateRecord(const TrackingRecord& record, const std::string& name, const Sequence& sequence)
+{
+  Evaluation evaluation;
+  evaluation.sequence = name;
+  evaluation.target_box = sequence.setup.target_box;
+  for (const Exposure& exposure : sequence.exposures)
+  {
+    evaluation.stamps_ns.push_back(exposure.stamp_ns);
+  }
+  for (const StampedPose& pose : sequence.gold_standard)
+  {
+    evaluation.gold_standard.push_back(pose.room_from_patient);
+  }
+  const std::set<std::int64_t> stamps_ns(evaluation.stamps_ns.begin(), evaluation.stamps_ns.end());
+  for (const std::int64_t stamp_ns : record.exposures)
+  {
+    if (stamps_ns.count(stamp_ns) == 0)
+    {
+      throw std::runtime_error("the bag's exposure at " + secondsText(stamp_ns) + " is none of the sequence's");
+    }
+  }
+  addTracking(record, evaluation);
+  return evaluation;
+}
+
+std::vector<std::string> unansweredExposures(const Evaluation& evaluation, const TrackingRecord& record)
+{
+  std::vector<std::string> lines;
+  for (const MethodResult& method : evaluation.methods)
+  {
+    for (std::size_t k = 0; k < method.frames.size(); ++k)
+    {
+      if (method.frames[k].status == FrameStatus::OK)
+      {
+        continue;
+      }
+      const auto motion = record.motions.find(evaluation.stamps_ns[k]);
+      const bool lost = method.frames[k].status == FrameStatus::LOST;
+      const std::string reason = lost                             ? motion->second.reason
+                                 : motion == record.motions.end() ? "no patient_motion"
+                                                                  : "patient_motion without patient_pose";
+      lines.push_back("frame " + std::to_string(k) + " (" + secondsText(evaluation.stamps_ns[k]) + ") " +
+                      (lost ? "lost: " : "failed: ") + reason);
+    }
+  }
+  return lines;
+}
+}  // namespace xray_tracking

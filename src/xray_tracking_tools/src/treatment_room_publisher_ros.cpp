@@ -1,0 +1,98 @@
+#include "xray_tracking_tools/treatment_room_publisher_ros.h"
+
+#include <stdexcept>
+
+#include "xray_tracking_conversions/conversions.h"
+#include "xray_tracking_tools/treatment_room_markers.h"
+
+namespace xray_tracking
+{
+TreatmentRoomPublisherRos::TreatmentRoomPublisherRos(ros::NodeHandle nh, ros::NodeHandle pnh) : nh_(nh)
+{
+  try
+  {
+    start(pnh);
+  }
+  catch (const std::exception& e)
+  {
+    ROS_ERROR("treatment_room_publisher stays idle: %s", e.what());
+  }
+}
+
+void TreatmentRoomPublisherRos::start(const ros::NodeHandle& pnh)
+{
+  const std::string setup_file = pnh.param<std::string>("setup_file", "");
+  if (setup_file.empty())
+  {
+    throw std::invalid_argument("~setup_file is empty, expected the path of a setup file");
+  }
+  const int trail_length = pnh.param("trail_length", 1000);
+  if (trail_length < 2)
+  {
+    throw std::invalid_argument("~trail_length is " + std::to_string(trail_length) + ", expected 2 or more");
+  }
+  setup_ = loadTreatmentSetup(setup_file);
+  trail_length_ = trail_length;
+  static_markers_ = staticMarkers(setup_);
+  broadcaster_.sendTransform(staticTransforms(setup_));
+
+  // Ten times a second is enough for the eye; a marker array for each message of each detector would load RViz.
+  marker_publisher_ = nh_.advertise<visualization_msgs::MarkerArray>("treatment_room_markers", 1, true);
+  timer_ = nh_.createWallTimer(ros::WallDuration(0.1), [this](const ros::WallTimerEvent&) { publishMarkers(); });
+  publishMarkers();
+  for (std::size_t d = 0; d < setup_.detectors.size(); ++d)
+  {
+    region_subscribers_.push_back(nh_.subscribe<xray_tracking_msgs::TrackedRegion>(
+        setup_.detectors[d].name() + "/tracked_region", 10,
+        [this, d](const xray_tracking_msgs::TrackedRegion::ConstPtr& message) { regionCallback(d, *message); }));
+  }
+  pose_subscriber_ = nh_.subscribe("patient_pose", 100, &TreatmentRoomPublisherRos::poseCallback, this);
+}
+
+void TreatmentRoomPublisherRos::poseCallback(const geometry_msgs::PoseWithCovarianceStamped& message)
+{
+  try
+  {
+    const RigidTransform room_from_patient = rigidFromPoseMsg(message.pose.pose);
+    if (message.header.stamp < last_pose_stamp_)
+    {
+      trail_.clear();
+    }
+    last_pose_stamp_ = message.header.stamp;
+    if (trail_.size() == trail_length_)
+    {
+      trail_.erase(trail_.begin());
+    }
+    trail_.push_back(pointMsgFromMillimetres(room_from_patient * setup_.targetCentre()));
+    changed_ = true;
+  }
+  catch (const std::invalid_argument& e)
+  {
+    ROS_WARN_THROTTLE(1.0, "patient_pose is left out of the trail: %s", e.what());
+  }
+}
+
+void TreatmentRoomPublisherRos::regionCallback(std::size_t detector, const xray_tracking_msgs::TrackedRegion& message)
+{
+  region_markers_[detector] = regionMarkers(setup_.detectors[detector], static_cast<int>(detector), message);
+  changed_ = true;
+}
+
+void TreatmentRoomPublisherRos::publishMarkers()
+{
+  if (!changed_)
+  {
+    return;
+  }
+  changed_ = false;
+  // Always everything: a latched topic keeps one message for those who come later.
+  visualization_msgs::MarkerArray message;
+  message.markers = static_markers_;
+  for (const auto& [detector, markers] : region_markers_)
+  {
+    message.markers.insert(message.markers.end(), markers.begin(), markers.end());
+  }
+  message.markers.push_back(trailMarker(trail_));
+  marker_publisher_.publish(message);
+}
+}  // namespace xray_tracking

@@ -1,0 +1,281 @@
+#include <sys/wait.h>
+
+#include <cmath>
+#include <cstdio>
+
+#include <gtest/gtest.h>
+
+#include "recorded_run.h"
+#include "test_helpers.h"
+#include "xray_tracking_core/sequence/treatment_setup.h"
+#include "xray_tracking_core/volume/ct_volume.h"
+
+namespace xray_tracking
+{
+namespace
+{
+struct CommandResult
+{
+  int status = -1;
+  std::string output;  ///< stdout and stderr
+};
+
+CommandResult run(const std::string& command)
+{
+  CommandResult result;
+  FILE* pipe = popen((std::string(COMMAND_DIR) + "/" + command + " 2>&1").c_str(), "r");
+  char buffer[256];
+  while (std::fgets(buffer, sizeof(buffer), pipe) != nullptr)
+  {
+    result.output += buffer;
+  }
+  const int status = pclose(pipe);
+  result.status = WIFEXITED(status) ? WEXITSTATUS(status) : -1;
+  return result;
+}
+
+bool contains(const std::string& text, const std::string& part)
+{
+  return text.find(part) != std::string::npos;
+}
+
+TEST(SequenceToBag, convertsAndShowsProgress)
+{
+  const TemporaryFolder folder;
+  writeTestSequence(folder);
+  const CommandResult result = run("sequence_to_bag " + folder.file("") + " " + folder.file("out.bag") + " --frames 3");
+  EXPECT_EQ(0, result.status) << result.output;
+  EXPECT_TRUE(contains(result.output, "exposure 3 / 3\n3 exposures, 0.5 s\n")) << result.output;
+  EXPECT_TRUE(std::filesystem::exists(folder.file("out.bag")));
+}
+
+/// A flaw in a sequence folder and what the message must name.
+struct Flaw
+{
+  const char* name;
+  void (*make)(const TemporaryFolder& folder);
+  const char* named;
+};
+
+class BadSequence : public testing::TestWithParam<Flaw>
+{
+};
+
+TEST_P(BadSequence, endsWithOneLineAndNoBag)
+{
+  const TemporaryFolder folder;
+  writeTestSequence(folder);
+  GetParam().make(folder);
+  const CommandResult result = run("sequence_to_bag " + folder.file("") + " " + folder.file("out.bag"));
+  EXPECT_EQ(1, result.status);
+  const std::size_t message = result.output.find("sequence_to_bag: ");
+  ASSERT_NE(std::string::npos, message) << result.output;
+  EXPECT_TRUE(contains(result.output.substr(message), GetParam().named)) << result.output;
+  EXPECT_EQ(result.output.size() - 1, result.output.find('\n', message)) << result.output;
+  EXPECT_FALSE(std::filesystem::exists(folder.file("out.bag")));
+  EXPECT_FALSE(std::filesystem::exists(folder.file("out.bag.partial")));
+}
+
+void writeFrames(const TemporaryFolder& folder, const std::string& rows)
+{
+  folder.write("frames.csv", "stamp_s,detector,file\n" + rows);
+}
+
+INSTANTIATE_TEST_SUITE_P(
+    Flaws, BadSequence,
+    testing::Values(
+        Flaw{ "missingImage", [](const TemporaryFolder& f) { std::filesystem::remove(f.file("image_b3.png")); },
+              "image_b3.png" },
+        Flaw{ "wrongSize",
+              [](const TemporaryFolder& f) { cv::imwrite(f.file("image_a4.png"), cv::Mat::zeros(7, 8, CV_16UC1)); },
+              "image_a4.png" },
+        Flaw{ "noImage", [](const TemporaryFolder& f) { f.write("image_a1.png", "not a picture"); }, "image_a1.png" },
+        Flaw{ "outOfOrder",
+              [](const TemporaryFolder& f) {
+                writeFrames(f,
+                            "0.5,detector_a,image_a0.png\n0.5,detector_b,image_b0.png\n0.25,detector_a,image_a1.png\n");
+              },
+              "frames.csv, line 4" },
+        Flaw{ "silentDetector",
+              [](const TemporaryFolder& f)
+              { writeFrames(f, "0,detector_a,image_a0.png\n1,detector_a,image_a1.png\n"); },
+              "detector_b" },
+        Flaw{ "nanPose",
+              [](const TemporaryFolder& f)
+              { f.write("gold_standard.csv", "stamp_s,tx_mm,ty_mm,tz_mm,qx,qy,qz,qw\n0,nan,0,0,0,0,0,1\n"); },
+              "gold_standard.csv, line 2" },
+        Flaw{ "noFolder", [](const TemporaryFolder& f) { std::filesystem::remove(f.file("sequence.yaml")); },
+              "sequence.yaml" }),
+    [](const testing::TestParamInfo<Flaw>& test) { return test.param.name; });
+
+TEST(SequenceToBag, doesNotReplaceAGoodBagByAFailure)
+{
+  const TemporaryFolder folder;
+  writeTestSequence(folder);
+  folder.write("out.bag", "precious");
+  std::filesystem::remove(folder.file("image_a2.png"));
+  EXPECT_EQ(1, run("sequence_to_bag " + folder.file("") + " " + folder.file("out.bag")).status);
+  EXPECT_EQ(8U, std::filesystem::file_size(folder.file("out.bag")));
+}
+
+TEST(SequenceToBag, explainsItsUse)
+{
+  EXPECT_EQ(0, run("sequence_to_bag --help").status);
+  const CommandResult missing = run("sequence_to_bag folder");
+  EXPECT_EQ(1, missing.status);
+  EXPECT_TRUE(contains(missing.output, "OUT.bag is missing; usage: sequence_to_bag SEQUENCE_DIR")) << missing.output;
+  EXPECT_EQ(1, run("sequence_to_bag a b --frames many").status);
+  EXPECT_EQ(1, run("sequence_to_bag a b --fames 3").status);
+}
+
+std::vector<std::string> rowsOf(const std::string& path, const std::string& method)
+{
+  std::vector<std::string> rows;
+  std::ifstream file(path);
+  for (std::string line; std::getline(file, line);)
+  {
+    if (contains(line, "," + method + ","))
+    {
+      rows.push_back(line);
+    }
+  }
+  return rows;
+}
+
+TEST(EvaluateBag, writesResultsAndNamesTheUnanswered)
+{
+  const TemporaryFolder folder;
+  writeTestSequence(folder);  // its sequence.yaml serves as the setup file
+  writeTestRun(folder.file("run.bag"));
+  const CommandResult result = run("evaluate_bag " + folder.file("run.bag") + " " + folder.file("results") +
+                                   " --setup " + folder.file("sequence.yaml"));
+  EXPECT_EQ(1, result.status);
+  EXPECT_TRUE(contains(result.output, "tracking")) << result.output;
+  EXPECT_TRUE(contains(result.output, "frame 3 (53.0000 s) lost: detector_b lost its region\n")) << result.output;
+  EXPECT_TRUE(contains(result.output, "frame 4 (54.0000 s) failed: no patient_motion\n")) << result.output;
+  EXPECT_EQ(6U, rowsOf(folder.file("results/tre.csv"), "tracking").size());
+  EXPECT_TRUE(std::filesystem::exists(folder.file("results/summary.json")));
+
+  const CommandResult good = run("evaluate_bag " + folder.file("run.bag") + " " + folder.file("good") + " --setup " +
+                                 folder.file("sequence.yaml") + " --frames 3 --name first_three");
+  EXPECT_EQ(0, good.status) << good.output;
+  EXPECT_EQ(3U, rowsOf(folder.file("good/tre.csv"), "tracking").size());
+  const CommandResult short_of = run("evaluate_bag " + folder.file("run.bag") + " " + folder.file("short") +
+                                     " --setup " + folder.file("sequence.yaml") + " --frames 7");
+  EXPECT_EQ(1, short_of.status);
+  EXPECT_TRUE(contains(short_of.output, "6 exposures were found, expected 7")) << short_of.output;
+}
+
+TEST(EvaluateBag, writesTheSequencesStampsAndTheFirstPose)
+{
+  const TemporaryFolder folder;
+  writeTestSequence(folder);
+  RecordedRun recorded(folder.file("run.bag"));
+  for (int k = 0; k < 5; ++k)
+  {
+    recorded.answer(ros::Time(1000 + k / 4, 250000000 * (k % 4)), 10 + k, 20, 30);
+  }
+  recorded.close();
+  const CommandResult result =
+      run("evaluate_bag " + folder.file("run.bag") + " " + folder.file("results") + " --sequence " + folder.file(""));
+  EXPECT_EQ(0, result.status) << result.output;
+  const std::vector<std::string> poses = rowsOf(folder.file("results/poses.csv"), "tracking");
+  ASSERT_EQ(5U, poses.size());
+  int frame = -1;
+  double stamp = NAN, x = NAN, y = NAN;
+  ASSERT_EQ(4, std::sscanf(poses[0].c_str(), "%d,%lf,tracking,%lf,%lf", &frame, &stamp, &x, &y));
+  EXPECT_EQ(0, frame);
+  EXPECT_NEAR(0.0, stamp, 1e-12);
+  EXPECT_NEAR(10.0, x, 1e-6);
+  ASSERT_EQ(4, std::sscanf(poses[3].c_str(), "%d,%lf,tracking,%lf,%lf", &frame, &stamp, &x, &y));
+  EXPECT_NEAR(0.75, stamp, 1e-12);
+  EXPECT_NEAR(13.0, x, 1e-6);
+  EXPECT_NEAR(20.0, y, 1e-6);
+}
+
+TEST(EvaluateBag, endsOnBadInput)
+{
+  const TemporaryFolder folder;
+  writeTestSequence(folder);
+  folder.write("broken.bag", "#ROSBAG V2.0\n");
+  for (const std::string bag : { "none.bag", "broken.bag" })
+  {
+    const CommandResult result = run("evaluate_bag " + folder.file(bag) + " " + folder.file("results") + " --setup " +
+                                     folder.file("sequence.yaml"));
+    EXPECT_EQ(1, result.status);
+    EXPECT_TRUE(contains(result.output, bag)) << result.output;
+  }
+  writeTestRun(folder.file("run.bag"));
+  EXPECT_EQ(1, run("evaluate_bag " + folder.file("run.bag") + " " + folder.file("results")).status);
+  EXPECT_FALSE(std::filesystem::exists(folder.file("results")));
+}
+
+/// Water with a bone ball of 8 mm radius at the given LPS point, 2 mm voxels, the middle at (100, -200, 300).
+void writeTestCt(const std::string& path, const Eigen::Vector3d& ball)
+{
+  CtVolume ct;
+  ct.grid.size = Eigen::Vector3i(40, 40, 40);
+  ct.grid.patient_from_index.linear() = 2.0 * Eigen::Matrix3d::Identity();
+  ct.grid.patient_from_index.translation() = Eigen::Vector3d(61, -239, 261);
+  ct.hu.assign(ct.grid.voxelCount(), 0);
+  for (int k = 0; k < 40; ++k)
+  {
+    for (int j = 0; j < 40; ++j)
+    {
+      for (int i = 0; i < 40; ++i)
+      {
+        const double distance = (ct.grid.patient_from_index * Eigen::Vector3d(i, j, k) - ball).norm();
+        const bool outside = j < 3;
+        ct.hu[ct.grid.offset(i, j, k)] = distance < 8.0 ? 900 : (outside ? -1000 : 0);
+      }
+    }
+  }
+  writeCtVolume(ct, path);
+}
+
+TEST(SetupFromCt, putsTheTargetIntoTheIsocentre)
+{
+  const TemporaryFolder folder;
+  const Eigen::Vector3d ball(110, -195, 305);
+  writeTestCt(folder.file("ct.nrrd"), ball);
+
+  const CommandResult given = run("setup_from_ct " + folder.file("ct.nrrd") + " " + folder.file("given.yaml") +
+                                  " --target 105 -190.5 -1 --edge 30");
+  ASSERT_EQ(0, given.status) << given.output;
+  const TreatmentSetup setup = loadTreatmentSetup(folder.file("given.yaml"));
+  const Eigen::Vector3d centre(105, -190.5, -1);
+  EXPECT_LT((setup.targetCentre() - centre).norm(), 1e-9);
+  EXPECT_LT((setup.target_box.sizes() - Eigen::Vector3d::Constant(30)).norm(), 1e-9);
+  EXPECT_LT((setup.room_from_patient * centre).norm(), 1e-6);
+  // Superior (LPS z) along room x, anterior (-y) up.
+  EXPECT_LT((setup.room_from_patient.linear() * Eigen::Vector3d::UnitZ() - Eigen::Vector3d::UnitX()).norm(), 1e-9);
+  EXPECT_LT((setup.room_from_patient.linear() * -Eigen::Vector3d::UnitY() - Eigen::Vector3d::UnitZ()).norm(), 1e-9);
+  EXPECT_EQ(2U, setup.detectors.size());
+  EXPECT_EQ(IntensityModel::Kind::COUNTS, setup.intensity.kind);
+  EXPECT_EQ(100.0, setup.intensity.offset);
+  EXPECT_EQ(60000.0, setup.intensity.air_counts.value());
+  EXPECT_EQ(std::filesystem::canonical(folder.file("ct.nrrd")).string(), setup.ct_path);
+
+  const CommandResult found =
+      run("setup_from_ct " + folder.file("ct.nrrd") + " " + folder.file("found.yaml") + " --edge 20");
+  ASSERT_EQ(0, found.status) << found.output;
+  // Any 20 mm cube that holds the whole ball has most bone: 2 mm of play each way, and a voxel.
+  const TreatmentSetup searched = loadTreatmentSetup(folder.file("found.yaml"));
+  EXPECT_LT((searched.targetCentre() - ball).cwiseAbs().maxCoeff(), 4.0);
+}
+
+TEST(SetupFromCt, endsOnBadInput)
+{
+  const TemporaryFolder folder;
+  const std::string out = folder.file("out.yaml");
+  const CommandResult missing = run("setup_from_ct " + folder.file("ct.nrrd") + " " + out);
+  EXPECT_EQ(1, missing.status);
+  EXPECT_TRUE(contains(missing.output, "ct.nrrd")) << missing.output;
+  folder.write("ct.nrrd", "NRRD0004\ntruncated");
+  EXPECT_EQ(1, run("setup_from_ct " + folder.file("ct.nrrd") + " " + out).status);
+  EXPECT_TRUE(contains(run("setup_from_ct " + folder.file("ct.nrrd") + " " + out + " --target 1 2").output,
+                       "--target has 2 values, expected 3"));
+  EXPECT_FALSE(std::filesystem::exists(out));
+}
+}  // namespace
+}  // namespace xray_tracking

@@ -1,0 +1,189 @@
+#!/usr/bin/python3
+"""The treatment room on tf and in markers, against what the setup file's numbers say."""
+
+import math
+import os
+import unittest
+
+import numpy as np
+import rosgraph
+import rosnode
+import rospy
+import rostest
+import yaml
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from tf2_msgs.msg import TFMessage
+from visualization_msgs.msg import Marker, MarkerArray
+from xray_tracking_msgs.msg import TrackedRegion
+
+WAIT_S = 60.0
+
+
+def load_setup():
+    path = rospy.get_param("/setup_file")
+    with open(path) as file:
+        setup = yaml.safe_load(file)
+    if isinstance(setup["detectors"], str):
+        with open(os.path.join(os.path.dirname(path), setup["detectors"])) as file:
+            setup["detectors"] = yaml.safe_load(file)["detectors"]
+    return setup
+
+
+def rotation(quaternion):
+    """Matrix of a unit quaternion message."""
+    x, y, z, w = quaternion.x, quaternion.y, quaternion.z, quaternion.w
+    return np.array([[1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+                     [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+                     [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)]])
+
+
+def vector(message):
+    return np.array([message.x, message.y, message.z])
+
+
+class TreatmentRoomPublisherTest(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.setup_file = load_setup()
+        cls.detectors = {d["name"]: {k: np.array(v, float) for k, v in d.items() if k != "name"}
+                         for d in cls.setup_file["detectors"]}
+        cls.markers = {}
+        cls.subscriber = rospy.Subscriber("treatment_room_markers", MarkerArray, cls.take_markers, queue_size=100)
+        cls.pose_publisher = rospy.Publisher("patient_pose", PoseWithCovarianceStamped, queue_size=100)
+        cls.region_publishers = {name: rospy.Publisher(name + "/tracked_region", TrackedRegion, queue_size=100)
+                                 for name in cls.detectors}
+        cls.wait_for(lambda: cls.markers, "markers")
+        cls.wait_for(lambda: cls.pose_publisher.get_num_connections() > 0, "a subscriber of patient_pose")
+        for name, publisher in cls.region_publishers.items():
+            cls.wait_for(lambda: publisher.get_num_connections() > 0, "a subscriber of " + name)
+
+    @classmethod
+    def take_markers(cls, message):
+        cls.markers = {(m.ns, m.id): m for m in message.markers}
+
+    @classmethod
+    def wait_for(cls, condition, what):
+        deadline = rospy.get_time() + WAIT_S
+        while not condition():
+            if rospy.is_shutdown() or rospy.get_time() > deadline:
+                raise AssertionError("no " + what)
+            rospy.sleep(0.02)
+
+    def points(self, ns, marker_id):
+        return np.array([vector(p) for p in self.markers[(ns, marker_id)].points])
+
+    def pixel(self, name, u, v):
+        """Room position of a pixel, formats.md's formula [m]."""
+        d = self.detectors[name]
+        return 1e-3 * (d["origin_mm"] + u * d["pixel_pitch_mm"][0] * d["x_direction"] +
+                       v * d["pixel_pitch_mm"][1] * d["y_direction"])
+
+    def test_static_transforms(self):
+        transforms = {t.child_frame_id: t
+                      for t in rospy.wait_for_message("/tf_static", TFMessage, WAIT_S).transforms}
+        self.assertEqual(set(transforms), {name + "_optical_frame" for name in self.detectors} | {"target"})
+        for name, d in self.detectors.items():
+            t = transforms[name + "_optical_frame"]
+            self.assertEqual(t.header.frame_id, "treatment_room")
+            np.testing.assert_allclose(vector(t.transform.translation), 1e-3 * d["source_mm"], atol=1e-9)
+            # Directions are given to six digits in the file and re-orthonormalised.
+            np.testing.assert_allclose(rotation(t.transform.rotation),
+                                       np.column_stack([d["x_direction"], d["y_direction"],
+                                                        np.cross(d["x_direction"], d["y_direction"])]), atol=2e-6)
+        target = transforms["target"]
+        self.assertEqual(target.header.frame_id, "patient")
+        box = self.setup_file["target_box_mm"]
+        np.testing.assert_allclose(vector(target.transform.translation),
+                                   0.5e-3 * (np.array(box["min"]) + np.array(box["max"])), atol=1e-9)
+        np.testing.assert_allclose(rotation(target.transform.rotation), np.eye(3), atol=1e-12)
+
+    def test_room_markers(self):
+        for i, (name, d) in enumerate(self.detectors.items()):
+            np.testing.assert_allclose(vector(self.markers[("sources", i)].pose.position), 1e-3 * d["source_mm"],
+                                       atol=1e-9)
+            columns, rows = d["image_size"]
+            corners = [self.pixel(name, u, v) for u, v in
+                       [(-0.5, -0.5), (columns - 0.5, -0.5), (columns - 0.5, rows - 0.5), (-0.5, rows - 0.5)]]
+            np.testing.assert_allclose(self.points("panel_outlines", i), corners + corners[:1], atol=2e-6)
+            np.testing.assert_allclose(self.points("beams", i)[1::2], corners, atol=2e-6)
+            np.testing.assert_allclose(self.points("beams", i)[::2], [1e-3 * d["source_mm"]] * 4, atol=1e-9)
+            source, foot = self.points("central_rays", i)
+            np.testing.assert_allclose(source, 1e-3 * d["source_mm"], atol=1e-9)
+            # The central ray is at right angles to the panel and ends on it.
+            self.assertAlmostEqual(np.dot(foot - source, d["x_direction"]), 0.0, delta=1e-5)
+            self.assertAlmostEqual(np.dot(foot - source, d["y_direction"]), 0.0, delta=1e-5)
+            self.assertAlmostEqual(np.dot(foot - corners[0], np.cross(d["x_direction"], d["y_direction"])), 0.0,
+                                   delta=1e-5)
+        box = self.points("target_box", 0)
+        self.assertEqual(self.markers[("target_box", 0)].header.frame_id, "patient")
+        self.assertEqual(len(box), 24)
+        limits = self.setup_file["target_box_mm"]
+        np.testing.assert_allclose(box.min(axis=0), 1e-3 * np.array(limits["min"]), atol=1e-9)
+        np.testing.assert_allclose(box.max(axis=0), 1e-3 * np.array(limits["max"]), atol=1e-9)
+        sides = box[1::2] - box[::2]
+        self.assertTrue(all(np.count_nonzero(np.abs(side) > 1e-9) == 1 for side in sides), "an edge is a diagonal")
+        self.assertIn(("isocentre", 0), self.markers)
+
+    def test_tracked_regions(self):
+        for i, name in enumerate(self.detectors):
+            region = TrackedRegion(state=TrackedRegion.TRACKING, displacement_x=3.5, displacement_y=-2.25)
+            region.region.x_offset, region.region.y_offset = 100, 120
+            region.region.width, region.region.height = 51, 31
+            self.region_publishers[name].publish(region)
+            key = ("region_rays", i)
+            self.wait_for(lambda: key in self.markers and self.markers[key].color.g > 0.5 and
+                          self.markers[key].color.r < 0.5, "green ray")
+            source, centre = self.points(*key)
+            np.testing.assert_allclose(source, 1e-3 * self.detectors[name]["source_mm"], atol=1e-9)
+            np.testing.assert_allclose(centre, self.pixel(name, 125 + 3.5, 135 - 2.25), atol=2e-6)
+            np.testing.assert_allclose(self.points("regions", i)[2], self.pixel(name, 150.5 + 3.5, 150.5 - 2.25),
+                                       atol=2e-6)
+
+            region.state, region.displacement_x = TrackedRegion.LOST, math.nan
+            self.region_publishers[name].publish(region)
+            self.wait_for(lambda: self.markers[key].color.r > 0.5 and self.markers[key].color.g < 0.5, "red ray")
+            np.testing.assert_allclose(self.points(*key)[1], self.pixel(name, 125, 135), atol=2e-6)
+
+            region.state = TrackedRegion.UNTRAINED
+            self.region_publishers[name].publish(region)
+            self.wait_for(lambda: self.markers[key].action == Marker.DELETE, "deleted ray")
+
+    def publish_pose(self, second, x, w=1.0):
+        pose = PoseWithCovarianceStamped()
+        pose.header.stamp = rospy.Time(second)
+        pose.header.frame_id = "treatment_room"
+        pose.pose.pose.position.x = x
+        pose.pose.pose.orientation.w = w
+        self.pose_publisher.publish(pose)
+
+    def test_trail(self):
+        box = self.setup_file["target_box_mm"]
+        centre = 0.5e-3 * (np.array(box["min"]) + np.array(box["max"]))
+
+        def trail_is(positions):
+            trail = self.markers[("trail", 0)]
+            return len(trail.points) == len(positions) and np.allclose(
+                self.points("trail", 0), [centre + [x, 0, 0] for x in positions], atol=1e-9)
+
+        for k in range(8):  # more than trail_length
+            self.publish_pose(100 + k, 0.001 * k)
+        self.wait_for(lambda: trail_is([0.003, 0.004, 0.005, 0.006, 0.007]), "trail of the last five poses")
+        self.publish_pose(109, math.nan)
+        self.publish_pose(110, 0.0, w=0.0)
+        self.publish_pose(111, 0.011)
+        self.wait_for(lambda: trail_is([0.004, 0.005, 0.006, 0.007, 0.011]), "trail without the bad poses")
+        self.publish_pose(50, 0.050)
+        self.publish_pose(51, 0.051)
+        self.wait_for(lambda: trail_is([0.050, 0.051]), "new trail after time has jumped back")
+
+    def test_bad_setup_is_survived(self):
+        names = ["/bad/no_file", "/bad/not_a_setup", "/bad/no_parameter", "/bad/bad_trail"]
+        for name in names:
+            self.wait_for(lambda: rosnode.rosnode_ping(name, max_count=1), "answer of " + name)
+        publishers = rosgraph.Master("/test").getSystemState()[0]
+        self.assertNotIn("/bad/treatment_room_markers", [topic for topic, _ in publishers])
+
+
+if __name__ == "__main__":
+    rospy.init_node("treatment_room_publisher_test")
+    rostest.rosrun("xray_tracking_tools", "treatment_room_publisher", TreatmentRoomPublisherTest)
