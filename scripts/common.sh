@@ -1,0 +1,64 @@
+# What the commands of this folder share: where things are, dependencies, build. Sourced, not run.
+
+root="$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)"
+# catkin breaks with another python3 in front of Debian's.
+export PATH="/usr/bin:/bin:/usr/sbin:/sbin:$PATH"
+
+say() { printf '%s\n' "$*"; }
+fail() { printf 'error: %s\n' "$*" >&2; exit 1; }
+
+# Installs the packages of debian_packages.txt that are missing.
+install_dependencies() {
+  command -v dpkg-query >/dev/null || fail "this needs Debian 12: dpkg-query is not there"
+  local wanted missing=() package
+  wanted=$(sed -e 's/#.*//' -e 's/[[:space:]].*//' "$root/scripts/debian_packages.txt" | grep .)
+  for package in $wanted; do
+    [ "$(dpkg-query -W -f '${db:Status-Status}' "$package" 2>/dev/null)" = installed ] || missing+=("$package")
+  done
+  [ ${#missing[@]} -gt 0 ] || return 0
+
+  say "Installing ${#missing[@]} Debian packages that building and running need (reasons: scripts/debian_packages.txt):"
+  say "  ${missing[*]}"
+  local as_root=()
+  if [ "$(id -u)" -ne 0 ]; then
+    command -v sudo >/dev/null || fail "packages are missing and only root can install them; as root: apt-get install ${missing[*]}"
+    as_root=(sudo)
+  fi
+  local log
+  log=$(mktemp)
+  "${as_root[@]}" apt-get update >"$log" 2>&1 ||
+    fail "apt-get update failed (no network, or no right to install): $(tail -n 1 "$log")"
+  "${as_root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends "${missing[@]}" \
+    >"$log" 2>&1 || fail "apt-get install failed: $(grep -E '^E:' "$log" | head -n 3 | tr '\n' ' ') (log: $log)"
+  rm -f "$log"
+}
+
+# Builds the workspace in Release; further arguments go to catkin_make. Shows the compiler's warnings and the progress.
+build_workspace() {
+  local log="$root/build/build.log"
+  mkdir -p "$root/build"
+  say "Building (log: $log) ..."
+  (cd "$root" && catkin_make -DCMAKE_BUILD_TYPE=Release "$@") 2>&1 | tee "$log" |
+    grep --line-buffered -E 'warning:|error:|Error|Linking CXX (shared|executable)' | sed -u 's/^/  /' || true
+  [ "${PIPESTATUS[0]}" -eq 0 ] || fail "the build failed; see $log"
+}
+
+# Makes the workspace's packages known to this shell.
+source_workspace() {
+  set +u
+  # shellcheck disable=SC1091
+  . "$root/devel/setup.bash"
+  set -u
+}
+
+# A master of one's own on the loopback: runs neither meet each other nor leave the machine.
+use_private_master() {
+  export ROS_HOSTNAME=127.0.0.1
+  unset ROS_IP
+  ROS_MASTER_URI="http://127.0.0.1:$(/usr/bin/python3 -c '
+import socket
+s = socket.socket()
+s.bind(("127.0.0.1", 0))
+print(s.getsockname()[1])')"
+  export ROS_MASTER_URI
+}

@@ -1,0 +1,57 @@
+#!/usr/bin/python3
+"""Loads every launch and YAML file of the package set."""
+import pathlib
+import unittest
+
+import roslaunch.config
+import roslaunch.rlutil
+import roslaunch.xmlloader
+import rospkg
+import yaml
+
+PACKAGES = [name for name in rospkg.RosPack().list() if name.startswith("xray_tracking_")]
+REQUIRED_ARGUMENTS = {
+    "tracking.launch": ["setup_file:=/setup.yaml"],
+    "playback.launch": ["bag:=/exposures.bag", "setup_file:=/setup.yaml"],
+    "latency.launch": ["sequence:=/sequence"],
+}
+
+
+def files(folder, pattern):
+    for package in PACKAGES:
+        yield from sorted(pathlib.Path(rospkg.RosPack().get_path(package), folder).rglob(pattern))
+
+
+def load(path, arguments):
+    config = roslaunch.config.ROSLaunchConfig()
+    roslaunch.xmlloader.XmlLoader(resolve_anon=False).load(str(path), config, argv=arguments, verbose=False)
+    return config
+
+
+class ConfigurationTest(unittest.TestCase):
+    def test_every_launch_file_loads_and_its_nodes_exist(self):
+        paths = list(files("launch", "*.launch"))
+        self.assertGreaterEqual(len(paths), 3)
+        for path in paths:
+            for switch in ("false", "true"):
+                arguments = list(REQUIRED_ARGUMENTS.get(path.name, []))
+                text = path.read_text()
+                arguments += [f"{name}:={switch}" for name in ("rviz", "supervised") if f'<arg name="{name}"' in text]
+                with self.subTest(path=path.name, switch=switch):
+                    config = load(path, arguments)
+                    self.assertEqual(config.config_errors, [])
+                    self.assertTrue(config.nodes)
+                    for node in config.nodes:
+                        self.assertTrue(roslaunch.node_args.create_local_process_args(node, node.machine or
+                                        roslaunch.core.local_machine(), env={}), f"{node.package}/{node.type}")
+
+    def test_every_yaml_file_is_one(self):
+        paths = list(files("config", "*.yaml")) + list(files("rviz", "*.rviz"))
+        self.assertGreaterEqual(len(paths), 5)
+        for path in paths:
+            with self.subTest(path=path.name):
+                self.assertIsInstance(yaml.safe_load(path.read_text()), dict)
+
+
+if __name__ == "__main__":
+    unittest.main()

@@ -1,0 +1,119 @@
+"""What the tests of the whole graph share."""
+import threading
+import time
+import unittest
+
+import numpy as np
+import rosgraph
+import rospy
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from tf2_msgs.msg import TFMessage
+from xray_tracking_msgs.msg import PatientMotion, TrackedRegion
+
+DETECTORS = ("detector_a", "detector_b")
+
+
+def matrix(position, orientation):
+    """4 x 4 matrix [m] of a message's position and unit quaternion."""
+    x, y, z, w = orientation.x, orientation.y, orientation.z, orientation.w
+    result = np.eye(4)
+    result[:3, :3] = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    result[:3, 3] = position.x, position.y, position.z
+    return result
+
+
+def target_registration_error_mm(estimate, gold, box_mm):
+    """Eq. (9) over a grid of the box's points."""
+    axes = [np.linspace(low, high, 5) / 1000.0 for low, high in zip(*box_mm)]
+    points = np.stack(np.meshgrid(*axes, [1.0], indexing="ij"), -1).reshape(-1, 4).T
+    return 1000.0 * np.sqrt(np.mean(np.sum(((estimate - gold) @ points)[:3] ** 2, axis=0)))
+
+
+class GraphTestCase(unittest.TestCase):
+    """Collects what the graph says, by stamp."""
+
+    @classmethod
+    def setUpClass(cls):
+        cls.lock = threading.Lock()
+        cls.poses, cls.gold, cls.tf, cls.motions = {}, {}, {}, {}
+        cls.regions = {name: {} for name in DETECTORS}
+        cls.tf_count = 0
+        cls.subscribers = [
+            rospy.Subscriber("patient_pose", PoseWithCovarianceStamped, cls._pose, queue_size=1000),
+            rospy.Subscriber("patient_ground_truth", PoseStamped, cls._gold, queue_size=1000),
+            rospy.Subscriber("patient_motion", PatientMotion, cls._motion, queue_size=1000),
+            rospy.Subscriber("/tf", TFMessage, cls._tf, queue_size=1000),
+        ] + [
+            rospy.Subscriber(f"{name}/tracked_region", TrackedRegion, cls._region, callback_args=name, queue_size=1000)
+            for name in DETECTORS
+        ]
+
+    @classmethod
+    def _pose(cls, message):
+        with cls.lock:
+            cls.poses[message.header.stamp] = matrix(message.pose.pose.position, message.pose.pose.orientation)
+
+    @classmethod
+    def _gold(cls, message):
+        with cls.lock:
+            cls.gold[message.header.stamp] = matrix(message.pose.position, message.pose.orientation)
+
+    @classmethod
+    def _motion(cls, message):
+        with cls.lock:
+            cls.motions[message.header.stamp] = message
+
+    @classmethod
+    def _region(cls, message, name):
+        with cls.lock:
+            cls.regions[name][message.header.stamp] = message
+
+    @classmethod
+    def _tf(cls, message):
+        with cls.lock:
+            for transform in message.transforms:
+                if transform.child_frame_id == "patient":
+                    cls.tf_count += 1
+                    cls.tf[transform.header.stamp] = matrix(transform.transform.translation,
+                                                            transform.transform.rotation)
+
+    def wait_for(self, condition, timeout, what):
+        """Waits in wall time, so also while a bag's clock stands."""
+        end = time.monotonic() + timeout
+        while time.monotonic() < end:
+            with self.lock:
+                if condition():
+                    return
+            time.sleep(0.05)
+        self.fail(f"not within {timeout} s: {what}")
+
+    def wait_for_subscribers(self, topics):
+        """topics: topic -> names of the nodes that must have subscribed to it."""
+        master = rosgraph.Master(rospy.get_name())
+
+        def ready():
+            subscribers = dict(master.getSystemState()[1])
+            return all(set(nodes) <= set(subscribers.get(topic, [])) for topic, nodes in topics.items())
+
+        self.wait_for(ready, 60.0, f"subscribers of {topics}")
+
+    def wait_for_graph(self):
+        me = rospy.get_name()
+        topics = {"/patient_pose": [me], "/patient_motion": [me], "/patient_ground_truth": [me], "/tf": [me]}
+        for name in DETECTORS:
+            topics[f"/{name}/image_raw"] = ["/xray_nodelets"]
+            topics[f"/{name}/camera_info"] = ["/motion_estimation"]
+            topics[f"/{name}/tracked_region"] = ["/motion_estimation", me]
+        self.wait_for_subscribers(topics)
+
+    def errors_mm(self, box_mm):
+        """TRE of every exposure, in order of time; fails if an exposure has no pose."""
+        with self.lock:
+            missing = sorted(set(self.gold) - set(self.poses))
+            self.assertEqual(missing, [], [self.motions[s].reason for s in missing if s in self.motions])
+            return np.array([target_registration_error_mm(self.poses[stamp], self.gold[stamp], box_mm)
+                             for stamp in sorted(self.gold)])

@@ -1,0 +1,53 @@
+#!/usr/bin/python3
+"""The default run: thirty simulated exposures of the phantom, every pose judged."""
+import os
+import sys
+
+import numpy as np
+import rospkg
+import rospy
+import rostest
+import yaml
+from std_srvs.srv import Trigger
+
+sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
+from graph_test_case import DETECTORS, GraphTestCase  # noqa: E402
+from xray_tracking_msgs.msg import PatientMotion, TrackedRegion  # noqa: E402
+
+EXPOSURES = 30
+
+
+class PhantomTest(GraphTestCase):
+    def test_every_exposure(self):
+        setup_path = os.path.join(rospkg.RosPack().get_path("xray_tracking_core"), "config", "phantom_neck.yaml")
+        with open(setup_path, encoding="utf-8") as file:
+            box = yaml.safe_load(file)["target_box_mm"]
+        self.wait_for_graph()
+        rospy.wait_for_service("/detector_simulator/start", 60.0)
+        self.wait_for(lambda: rospy.ServiceProxy("/detector_simulator/start", Trigger)().success, 60.0, "start")
+        self.wait_for(lambda: len(self.motions) >= EXPOSURES and len(self.poses) >= EXPOSURES
+                      and len(self.tf) >= EXPOSURES, 90.0, "all exposures answered")
+
+        self.assertEqual(len(self.gold), EXPOSURES)
+        errors = self.errors_mm((box["min"], box["max"]))
+        first = self.gold[min(self.gold)]
+        moved = [1000.0 * np.linalg.norm(pose[:3, 3] - first[:3, 3]) for pose in self.gold.values()]
+        print(f"TRE mm: median {np.median(errors[1:]):.3f}, max {errors.max():.3f}; largest shift {max(moved):.2f}")
+        # The exposures really move the target, so that tracking nothing would fail.
+        self.assertGreater(max(moved), 6.0)
+        self.assertLessEqual(max(moved), 10.0 + 1e-6)
+        self.assertLess(errors[0], 1e-6)
+        self.assertLessEqual(np.median(errors[1:]), 0.3)
+        self.assertLessEqual(errors.max(), 1.0)
+
+        self.assertEqual(self.tf_count, EXPOSURES, "each stamp once on tf")
+        for stamp, pose in self.poses.items():
+            np.testing.assert_allclose(self.tf[stamp], pose, atol=1e-9)
+            self.assertEqual(self.motions[stamp].state, PatientMotion.OK)
+            for name in DETECTORS:
+                self.assertEqual(self.regions[name][stamp].state, TrackedRegion.TRACKING)
+
+
+if __name__ == "__main__":
+    rospy.init_node("phantom_test")
+    rostest.rosrun("xray_tracking_bringup", "phantom", PhantomTest)
