@@ -238,6 +238,8 @@ TEST(ProjectionGeometry, RejectsBadDescriptions)
   expectRejected([](D& d) { d.name = ""; }, { "name", "letter" });
   expectRejected([](D& d) { d.name = "detector a/b"; }, { "name", "detector a/b" });
   expectRejected([](D& d) { d.image_size.y() = 0; }, { "oblique", "image_size", "300   0", "positive" });
+  expectRejected([](D& d) { d.image_size.x() = 100000; }, { "oblique", "image_size", "100000", "16384" });
+  expectRejected([](D& d) { d.pixel_pitch.x() = 1e-307; }, { "oblique", "focal length", "inf", "finite" });
   expectRejected([](D& d) { d.pixel_pitch.x() = -0.4; }, { "oblique", "pixel_pitch_mm", "-0.4", "positive" });
   expectRejected([](D& d) { d.pixel_pitch.x() = kNan; }, { "pixel_pitch_mm", "nan", "finite" });
   expectRejected([](D& d) { d.source.z() = kNan; }, { "source_mm", "nan", "finite" });
@@ -312,6 +314,9 @@ TEST(Triangulation, RejectsWhatHasNoAnswer)
   right.origin += 100.0 * right.x_direction;
   expectRejected({ ProjectionGeometry::fromDescription(left), ProjectionGeometry::fromDescription(right) },
                  { { 0.0, 50.0 }, { 299.0, 50.0 } }, { "in front", "oblique" });
+
+  // Far off both panels.
+  expectRejected(pair, { { -3836.8, 1582.2 }, { 4267.6, -4632.7 } }, { "no point", "detector_a", "too widely" });
 }
 
 TEST(Presets, Cyberknife)

@@ -355,6 +355,28 @@ TEST_F(BlockTest, CountsOnlyWhatIsInFrontOfTheSource)
   EXPECT_NEAR(onAxis({ 0, 0, 600 }), 20.0, 1e-4);
 }
 
+/// Rays in the plane of a single layer, where there is no neighbour to interpolate with.
+TEST_F(BlockTest, ASingleLayerSeenFromItsEdge)
+{
+  block_ = sample([](const Eigen::Vector3d&) { return 0.5; }, Eigen::Vector3d(1, 1, 2).asDiagonal(), { 1, 31, 20 }, 1);
+  EXPECT_NEAR(onAxis({ 0, 0, 0 }), 20.0, 1e-4);
+  EXPECT_NEAR(onAxis({ 0.5, 0, 0 }), 10.0, 1e-4);
+  const auto aslant = [this](double turn) {
+    return render(block_, panel_, pose({ 0, turn, 0 }, { 0, 0, 0 })).at<float>(40, 48);
+  };
+  // The ray leaves the layer at an angle: planes 2 mm apart along k in which it is (n + 1/2) 2 tan mm off the middle.
+  const double slope = std::tan(0.1);
+  double sum = 0.0;
+  for (int n = -10; n < 10; ++n)
+  {
+    sum += 0.5 * std::max(0.0, 1.0 - std::abs((n + 0.5) * 2.0 * slope)) * 2.0 / std::cos(0.1);
+  }
+  EXPECT_NEAR(aslant(0.1), sum, 1e-4);
+  // An odd number of planes: the middle one is met in its middle.
+  block_ = sample([](const Eigen::Vector3d&) { return 0.5; }, Eigen::Vector3d(1, 1, 2).asDiagonal(), { 1, 1, 1 }, 1);
+  EXPECT_NEAR(aslant(0.1), 1.0 / std::cos(0.1), 1e-4);
+}
+
 TEST_F(BlockTest, MissesAreZeroAndTheImageIsReused)
 {
   const auto renderer = makeJosephRenderer(block_);

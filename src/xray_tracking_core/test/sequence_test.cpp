@@ -1,10 +1,10 @@
 #include <cmath>
-#include <cstdlib>
 #include <filesystem>
 
 #include <gtest/gtest.h>
 #include <opencv2/imgcodecs.hpp>
 
+#include "shared_data.h"
 #include "test_helpers.h"
 #include "xray_tracking_core/sequence/sequence.h"
 
@@ -159,6 +159,22 @@ TEST(Sequence, ToleratesOtherLineEndings)
   ASSERT_EQ(sequence.exposures.size(), 2u);
   EXPECT_EQ(sequence.exposures[1].files[0], folder.folder().path("a1.png"));
   EXPECT_EQ(sequence.gold_standard.size(), 2u);
+}
+
+TEST(Sequence, GoldStandardMayHaveFurtherRows)
+{
+  SequenceFolder folder;
+  const std::string further = ",0,0,0,0,0,0,1\n";
+  folder.gold = replaced(folder.gold, "1699999999.1", "1699999998" + further + "1699999999.1");
+  folder.gold = replaced(folder.gold, "1700000000.1", "1700000000" + further + "1700000000.1") + "1700000001" + further;
+  folder.write();
+  const Sequence sequence = folder.load();
+  ASSERT_EQ(sequence.gold_standard.size(), 2u);
+  for (int i = 0; i < 2; ++i)
+  {
+    EXPECT_EQ(sequence.gold_standard[i].stamp_ns, sequence.exposures[i].stamp_ns);
+    EXPECT_EQ(sequence.gold_standard[i].room_from_patient.translation().x(), 1.0 + 0.25 * i);
+  }
 }
 
 TEST(Sequence, StampsAreExactToTheNanosecond)
@@ -363,16 +379,11 @@ TEST(TreatmentSetup, TargetRegionHoldsTheProjectedBox)
   EXPECT_TRUE(projectedTargetRegion(setup, setup.detectors[0]).empty());
 }
 
-TEST(RealData, ThoraxSequences)
+TEST_F(SharedDataTest, ThoraxSequences)
 {
-  const char* shared = std::getenv("XRAY_TRACKING_SHARED_DATA");
-  if (shared == nullptr || !std::filesystem::is_directory(std::filesystem::path(shared) / "sequences"))
-  {
-    GTEST_SKIP() << "XRAY_TRACKING_SHARED_DATA does not name a folder with sequences/";
-  }
   for (const char* name : { "thorax_01", "thorax_02" })
   {
-    const Sequence sequence = loadSequence((std::filesystem::path(shared) / "sequences" / name).string());
+    const Sequence sequence = loadSequence(folder_ + "/sequences/" + name);
     EXPECT_EQ(sequence.exposures.size(), 20u);
     EXPECT_EQ(sequence.gold_standard.size(), 20u);
     EXPECT_EQ(sequence.setup.regions.size(), 2u);

@@ -15,6 +15,8 @@ namespace
 {
 constexpr double kDirectionTolerance = 1e-4;
 constexpr double kMinSourceToDetector = 1.0;  // mm
+/// More than any panel has; images of a mistyped size would not fit the memory.
+constexpr int kMaxImageSize = 16384;
 
 template <typename Value>
 [[noreturn]] void reject(const std::string& detector, const std::string& field, const Value& value,
@@ -68,9 +70,9 @@ ProjectionGeometry ProjectionGeometry::fromDescription(const DetectorDescription
   {
     reject(name, "name", name, "a letter followed by letters, digits and underscores");
   }
-  if (!(description.image_size.minCoeff() > 0))
+  if (description.image_size.minCoeff() < 1 || description.image_size.maxCoeff() > kMaxImageSize)
   {
-    reject(name, "image_size", description.image_size.transpose(), "positive numbers");
+    reject(name, "image_size", description.image_size.transpose(), "positive numbers up to 16384");
   }
   checkPositive(name, "pixel_pitch_mm", description.pixel_pitch);
   checkFinite(name, "source_mm", description.source);
@@ -111,6 +113,9 @@ ProjectionGeometry ProjectionGeometry::fromDescription(const DetectorDescription
   }
   geometry.foot_ = -origin.head<2>().cwiseQuotient(description.pixel_pitch);
   geometry.focal_length_ = origin.z() * description.pixel_pitch.cwiseInverse();
+  // Numbers that are finite one by one may overflow together.
+  checkPositive(name, "focal length (fx, fy)", geometry.focal_length_);
+  checkFinite(name, "foot (cx, cy)", geometry.foot_);
   return geometry;
 }
 
@@ -214,6 +219,8 @@ Eigen::Vector3d triangulate(const std::vector<ProjectionGeometry>& views, const 
 
   // Gauss-Newton; from this start it settles in two or three steps.
   constexpr int kMaxSteps = 20;
+  constexpr double kSmallStep = 1e-3;  // mm
+  Eigen::Vector3d change;
   for (int step = 0; step < kMaxSteps; ++step)
   {
     normal_matrix.setZero();
@@ -228,12 +235,17 @@ Eigen::Vector3d triangulate(const std::vector<ProjectionGeometry>& views, const 
       normal_matrix += jacobian.transpose() * jacobian;
       right_side += jacobian.transpose() * (pixels[i] - views[i].project(point));
     }
-    const Eigen::Vector3d change = normal_matrix.ldlt().solve(right_side);
+    change = normal_matrix.ldlt().solve(right_side);
     point += change;
     if (change.norm() < 1e-9)
     {
       break;
     }
+  }
+  if (!(change.norm() < kSmallStep))
+  {
+    throw std::invalid_argument("triangulate: found no point, the rays of " + views.front().name() + ", " +
+                                views[1].name() + " ... miss each other too widely");
   }
   return point;
 }

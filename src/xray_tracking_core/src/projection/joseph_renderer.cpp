@@ -36,6 +36,10 @@ struct PlaneRange
   /// Keeps the planes in which `crossing` lies in [lowest, highest].
   PlaneRange where(const Crossing& crossing, double lowest, double highest) const
   {
+    if (lowest > highest)
+    {
+      return { first, first - 1 };
+    }
     constexpr double kNegligible = 1e-12;
     if (std::abs(crossing.slope) < kNegligible)
     {

@@ -1,17 +1,15 @@
 #include <array>
 #include <filesystem>
 #include <fstream>
-#include <iterator>
 #include <stdexcept>
 #include <string>
-#include <string_view>
 
-#include <gdcmReader.h>
 #include <itkGDCMImageIO.h>
 #include <itkImage.h>
 #include <itkImageFileReader.h>
 #include <opencv2/imgcodecs.hpp>
 
+#include "../volume/dicom_pixels.h"
 #include "xray_tracking_core/sequence/sequence.h"
 
 namespace xray_tracking
@@ -50,28 +48,6 @@ cv::Mat readPngOrTiff(const std::string& path)
   return image;
 }
 
-/// GDCM only warns of pixels that are missing at the end and makes them up.
-bool lacksPixels(const std::string& path)
-{
-  gdcm::Reader reader;
-  reader.SetFileName(path.c_str());
-  if (!reader.Read())
-  {
-    return true;
-  }
-  const gdcm::TransferSyntax syntax = reader.GetFile().GetHeader().GetDataSetTransferSyntax();
-  if (syntax != gdcm::TransferSyntax::ExplicitVRLittleEndian && syntax != gdcm::TransferSyntax::ImplicitVRLittleEndian)
-  {
-    return false;  // compressed: left to the decoder
-  }
-  const gdcm::DataElement& element = reader.GetFile().GetDataSet().GetDataElement(gdcm::Tag(0x7fe0, 0x0010));
-  const gdcm::ByteValue* const pixels = element.GetByteValue();
-  std::ifstream file(path, std::ios::binary);
-  const std::string content(std::istreambuf_iterator<char>(file), {});
-  return pixels == nullptr || pixels->GetLength() == 0 ||
-         content.find(std::string_view(pixels->GetPointer(), pixels->GetLength())) == std::string::npos;
-}
-
 cv::Mat readDicom(const std::string& path, itk::GDCMImageIO* io)
 {
   // Wider than what the file may hold, so that a value that does not fit shows instead of wrapping around.
@@ -86,15 +62,12 @@ cv::Mat readDicom(const std::string& path, itk::GDCMImageIO* io)
     {
       throw std::runtime_error(path + ": expected one frame with one channel");
     }
+    requireAllDicomPixels(path);
     reader->Update();
   }
   catch (const itk::ExceptionObject& error)
   {
     throw std::runtime_error(path + ": not readable or truncated: " + error.GetDescription());
-  }
-  if (lacksPixels(path))
-  {
-    throw std::runtime_error(path + ": truncated");
   }
   const auto size = reader->GetOutput()->GetLargestPossibleRegion().GetSize();
   const cv::Mat values(static_cast<int>(size[1]), static_cast<int>(size[0]), CV_32SC1,

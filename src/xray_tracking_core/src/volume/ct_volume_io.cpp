@@ -4,8 +4,6 @@
 #include <filesystem>
 #include <fstream>
 #include <limits>
-#include <map>
-#include <memory>
 #include <sstream>
 
 #include <itkGDCMImageIO.h>
@@ -15,9 +13,9 @@
 #include <itkMetaImageIO.h>
 #include <itkNiftiImageIO.h>
 #include <itkNrrdImageIO.h>
-#include <zlib.h>
 
 #include "ct_error.h"
+#include "ct_file_checks.h"
 #include "dicom_series.h"
 #include "xray_tracking_core/volume/ct_volume.h"
 
@@ -31,58 +29,6 @@ namespace fs = std::filesystem;
 using FloatImage = itk::Image<float, 3>;
 using HuImage = itk::Image<std::int16_t, 3>;
 
-/// MetaIO says nothing of data that end early.
-void requireAllOfMetaImage(const itk::ImageIOBase& format, const std::string& path)
-{
-  std::ifstream header(path, std::ios::binary);
-  std::map<std::string, std::string> fields;
-  for (std::string line; fields.count("ElementDataFile") == 0 && std::getline(header, line);)
-  {
-    std::string key;
-    std::string equals;
-    std::string value;
-    std::istringstream(line) >> key >> equals >> value;
-    fields[key] = value;
-  }
-  const std::string data = fields["ElementDataFile"];
-  const fs::path data_file = data == "LOCAL" ? fs::path(path) : fs::path(path).parent_path() / data;
-  if (!fs::is_regular_file(data_file))
-  {
-    return;  // many files, by a list or a pattern; ITK misses those that are not there
-  }
-  std::uintmax_t expected = format.GetImageSizeInBytes();
-  if (fields["CompressedData"] == "True")
-  {
-    expected = 0;  // some files do not say
-    std::istringstream(fields["CompressedDataSize"]) >> expected;
-  }
-  const std::uintmax_t start = data == "LOCAL" ? static_cast<std::uintmax_t>(header.tellg()) : 0;
-  if (fs::file_size(data_file) < start + expected)
-  {
-    failCt(path, "truncated: " + data_file.string() + " has " + std::to_string(fs::file_size(data_file)) +
-                     " bytes, expected " + std::to_string(start + expected));
-  }
-}
-
-/// ITK's NIfTI reader says nothing of data that end early either, and takes zeros for the rest.
-void requireAllOfNifti(const itk::ImageIOBase& format, const std::string& path)
-{
-  std::string offset = "0";
-  itk::ExposeMetaData<std::string>(format.GetMetaDataDictionary(), "vox_offset", offset);
-  const auto end = static_cast<z_off_t>(std::stoll(offset) + format.GetImageSizeInBytes());
-  fs::path data_file = path;
-  if (data_file.extension() == ".hdr")
-  {
-    data_file.replace_extension(".img");
-  }
-  // Reads files that are not compressed, too.
-  const std::unique_ptr<gzFile_s, int (*)(gzFile)> file(gzopen(data_file.c_str(), "rb"), gzclose);
-  if (!file || gzseek(file.get(), end - 1, SEEK_SET) != end - 1 || gzgetc(file.get()) == -1)
-  {
-    failCt(path, "truncated: its data end before the last voxel");
-  }
-}
-
 std::array<itk::ImageIOBase::Pointer, 3> fileFormats()
 {
   return { itk::NrrdImageIO::New().GetPointer(), itk::MetaImageIO::New().GetPointer(),
@@ -94,6 +40,10 @@ FloatImage::Pointer readImage(itk::ImageIOBase* format, const std::string& path)
   const auto reader = itk::ImageFileReader<FloatImage>::New();
   reader->SetImageIO(format);
   reader->SetFileName(path);
+  if (dynamic_cast<itk::NiftiImageIO*>(format))
+  {
+    requireUsableNiftiHeader(path);
+  }
   try
   {
     reader->UpdateOutputInformation();
@@ -105,14 +55,8 @@ FloatImage::Pointer readImage(itk::ImageIOBase* format, const std::string& path)
     {
       failCt(path, "has " + std::to_string(format->GetNumberOfComponents()) + " values a voxel, expected 1");
     }
-    if (dynamic_cast<itk::MetaImageIO*>(format))
-    {
-      requireAllOfMetaImage(*format, path);
-    }
-    else if (dynamic_cast<itk::NiftiImageIO*>(format))
-    {
-      requireAllOfNifti(*format, path);
-    }
+    requireMillimetres(*format, path);
+    requireAllVoxels(*format, path);
     reader->Update();
   }
   catch (const itk::ExceptionObject& error)
@@ -153,6 +97,13 @@ void requireUsableGrid(const VolumeGrid& grid, const std::string& path)
     message << "voxel spacing is " << spacing.transpose() << " mm, expected 0.01 to 100, and a finite origin";
     failCt(path, message.str());
   }
+  // 1 for axes at right angles; a gantry tilts by up to 30 degrees, cosine 0.87.
+  const double volume = grid.patient_from_index.linear().colwise().normalized().determinant();
+  if (!(std::abs(volume) > 0.5))
+  {
+    message << "axes are\n" << grid.patient_from_index.linear() << "\nexpected axes nearly at right angles";
+    failCt(path, message.str());
+  }
 }
 
 /// ITK would write NIfTI with the nearest axes at right angles, without a word.
@@ -168,11 +119,13 @@ void requireRightAngles(const VolumeGrid& grid, const std::string& path)
 /// Rounds to whole HU. @throws if the values are no HU of a body in air
 std::vector<std::int16_t> toHu(const float* values, std::size_t count, const std::string& path)
 {
-  constexpr float kTissue = 200.0f;  // either side of water
+  constexpr float kTissue = 200.0f;       // either side of water
+  constexpr float kLowestAir = -1200.0f;  // with noise; below it, values that fill up what was not scanned
   std::vector<std::int16_t> hu(count);
   float lowest = std::numeric_limits<float>::max();
   float highest = std::numeric_limits<float>::lowest();
   bool tissue = false;
+  bool air = false;
   for (std::size_t n = 0; n < count; ++n)
   {
     const float value = std::round(values[n]);
@@ -186,6 +139,7 @@ std::vector<std::int16_t> toHu(const float* values, std::size_t count, const std
     lowest = std::min(lowest, value);
     highest = std::max(highest, value);
     tissue = tissue || std::abs(value) <= kTissue;
+    air = air || (value >= kLowestAir && value < -kTissue);
     hu[n] = static_cast<std::int16_t>(value);
   }
   std::ostringstream message;
@@ -193,9 +147,9 @@ std::vector<std::int16_t> toHu(const float* values, std::size_t count, const std
   {
     message << "all voxels are " << lowest;
   }
-  else if (lowest > -kTissue)
+  else if (!air)
   {
-    message << "the lowest value is " << lowest << ", expected air, near -1000";
+    message << "the lowest value is " << lowest << " and none lies between -1200 and -200, expected air, near -1000";
   }
   else if (!tissue)
   {
@@ -258,11 +212,27 @@ CtVolume readFolder(const std::string& path)
 
 CtVolume readCtVolume(const std::string& path)
 {
-  if (!fs::exists(path))
+  try
   {
-    failCt(path, "no such file or folder");
+    if (fs::is_directory(path))
+    {
+      return readFolder(path);
+    }
+    // A pipe, for instance, would block the reader.
+    if (!fs::is_regular_file(path))
+    {
+      failCt(path, fs::exists(path) ? "neither a file nor a folder" : "no such file or folder");
+    }
+    if (!std::ifstream(path))
+    {
+      failCt(path, "no permission to read it");
+    }
+    return readFile(path);
   }
-  return fs::is_directory(path) ? readFolder(path) : readFile(path);
+  catch (const fs::filesystem_error& error)
+  {
+    failCt(path, "cannot be read: " + error.code().message());
+  }
 }
 
 void writeCtVolume(const CtVolume& volume, const std::string& path)

@@ -2,16 +2,15 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdint>
 #include <filesystem>
 #include <locale>
 #include <map>
 #include <sstream>
 
-#include <gdcmReader.h>
 #include <gdcmScanner.h>
 
 #include "ct_error.h"
+#include "dicom_pixels.h"
 
 namespace xray_tracking
 {
@@ -25,8 +24,6 @@ const gdcm::Tag kOrientation(0x0020, 0x0037);
 const gdcm::Tag kRows(0x0028, 0x0010);
 const gdcm::Tag kColumns(0x0028, 0x0011);
 const gdcm::Tag kPixelSpacing(0x0028, 0x0030);
-const gdcm::Tag kBitsAllocated(0x0028, 0x0100);
-const gdcm::Tag kPixelData(0x7fe0, 0x0010);
 
 /// Positions and directions are written with few decimals.
 constexpr double kDirectionTolerance = 1e-3;
@@ -77,32 +74,13 @@ Eigen::Matrix<double, SIZE, 1> numbers(const gdcm::Scanner& scanner, const std::
   return result;
 }
 
-/// GDCM fills up what a truncated file lacks with zeros; compressed pixels it refuses.
-void requireAllPixels(const std::string& file, std::uintmax_t bytes)
-{
-  gdcm::Reader reader;
-  reader.SetFileName(file.c_str());
-  reader.ReadUpToTag(kPixelData, { kPixelData });
-  const std::size_t start = reader.GetStreamCurrentPosition();
-  if (start == static_cast<std::size_t>(-1))
-  {
-    failCt(file, "holds no pixels");
-  }
-  const std::uintmax_t size = std::filesystem::file_size(file);
-  if (!reader.GetFile().GetHeader().GetDataSetTransferSyntax().IsEncapsulated() && size < start + bytes)
-  {
-    failCt(file, "truncated: " + std::to_string(size) + " bytes, expected " + std::to_string(start + bytes));
-  }
-}
-
 Slice readSlice(const gdcm::Scanner& scanner, const std::string& file)
 {
   Slice slice;
   slice.file = file;
   slice.size.x() = static_cast<int>(numbers<1>(scanner, file, kColumns, "Columns")[0]);
   slice.size.y() = static_cast<int>(numbers<1>(scanner, file, kRows, "Rows")[0]);
-  const auto bits = numbers<1>(scanner, file, kBitsAllocated, "BitsAllocated")[0];
-  requireAllPixels(file, static_cast<std::uintmax_t>(bits / 8.0 * slice.size.x() * slice.size.y()));
+  requireAllDicomPixels(file);
   slice.spacing = numbers<2>(scanner, file, kPixelSpacing, "PixelSpacing").reverse();
   slice.position = numbers<3>(scanner, file, kPosition, "ImagePositionPatient");
   const auto orientation = numbers<6>(scanner, file, kOrientation, "ImageOrientationPatient");
@@ -115,6 +93,8 @@ Slice readSlice(const gdcm::Scanner& scanner, const std::string& file)
     failCt(file, "ImageOrientationPatient is " + text(scanner, file, kOrientation) +
                      ", expected two unit vectors at right angles");
   }
+  slice.x_direction.normalize();
+  slice.y_direction.normalize();
   return slice;
 }
 
@@ -236,8 +216,8 @@ DicomSeries findCtSeries(const std::string& folder)
     }
   }
   gdcm::Scanner scanner;
-  for (const gdcm::Tag& tag : { kModality, kSeriesDescription, kSeriesUid, kPosition, kOrientation, kRows, kColumns,
-                                kPixelSpacing, kBitsAllocated })
+  for (const gdcm::Tag& tag :
+       { kModality, kSeriesDescription, kSeriesUid, kPosition, kOrientation, kRows, kColumns, kPixelSpacing })
   {
     scanner.AddTag(tag);
   }

@@ -30,7 +30,7 @@ struct PairedTTest
 };
 
 /// @throws std::invalid_argument for unequal lengths, fewer than two pairs or values that are not finite. Identical
-/// samples give t = 0, p = 1; samples that differ by a constant give t = +-infinity, p = 0.
+/// samples give t = 0, p = 1; differences that are all the same to the last bit give t = +-infinity, p = 0.
 PairedTTest pairedTTest(const std::vector<double>& a, const std::vector<double>& b);
 
 enum class FrameStatus

@@ -20,7 +20,7 @@ struct Ray
 /// sequence file's `detectors` entry.
 struct DetectorDescription
 {
-  std::string name;                 ///< for messages and topic namespaces
+  std::string name;                 ///< for messages and topic namespaces: [A-Za-z][A-Za-z0-9_]*
   Eigen::Vector2i image_size;       ///< columns, rows [px]
   Eigen::Vector2d pixel_pitch;      ///< along columns, along rows [mm]
   Eigen::Vector3d source;           ///< focal spot, room [mm]
@@ -36,8 +36,8 @@ struct DetectorDescription
 class ProjectionGeometry
 {
 public:
-  /// @throws std::invalid_argument naming the detector, the field, its value and what was expected: sizes and pitches
-  /// must be positive; directions of unit norm and at right angles to 1e-4 (then re-orthonormalised); the source off
+  /// @throws std::invalid_argument naming the detector, the field, its value and what was expected: the name a letter
+  /// followed by letters, digits and underscores; image sizes 1 to 16384; pitches positive; directions of unit norm and at right angles to 1e-4 (then re-orthonormalised); the source off
   /// the panel on its negative z side by at least 1 mm; everything finite.
   static ProjectionGeometry fromDescription(const DetectorDescription& description);
 
@@ -93,6 +93,8 @@ private:
 };
 
 /// The room point [mm] nearest in least squares to where the given pixels are seen, one pixel a view; iterated on the
-/// reprojection error [px]. @throws std::invalid_argument for fewer than two views or parallel rays.
+/// reprojection error [px].
+/// @throws std::invalid_argument for fewer than two views, a number of pixels other than that of the views, a pixel that
+/// is not finite, parallel rays (to 0.01 degrees), or rays that meet behind a source or miss each other too widely
 Eigen::Vector3d triangulate(const std::vector<ProjectionGeometry>& views, const std::vector<Eigen::Vector2d>& pixels);
 }  // namespace xray_tracking

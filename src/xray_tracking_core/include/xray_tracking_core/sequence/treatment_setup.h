@@ -47,7 +47,8 @@ std::vector<ProjectionGeometry> loadDetectors(const std::string& path);
 
 /// Reads a setup file: `detectors` (a list, or the path of a YAML file that has one), `initial_pose`, `target_box_mm`,
 /// and optionally `ct`, `intensity`, `regions`; relative paths start at the file. Keys that it does not use are left
-/// alone. @throws std::runtime_error naming file, key, value and what was expected
+/// alone. Regions must lie inside their detector's image, air_counts above offset, the box's min below its max.
+/// @throws std::runtime_error naming file, key, value and what was expected
 TreatmentSetup loadTreatmentSetup(const std::string& path);
 
 /// Writes a setup that loadTreatmentSetup reads back. @throws std::runtime_error

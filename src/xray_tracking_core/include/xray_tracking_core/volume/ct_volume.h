@@ -46,10 +46,11 @@ struct ScalarVolume
 
 /// Reads a CT: a NRRD, MetaImage or NIfTI file, or a folder with one DICOM CT series. Axes come out as LPS mm whatever
 /// the file declares (NRRD: LPS, RAS or LAS, or no space, which is taken for LPS). DICOM files of other modalities are
-/// passed over; a tilted gantry gives a sheared grid.
+/// passed over; a tilted gantry gives a sheared grid. Values below -1200, by which scanners fill up what they did not
+/// scan, are kept.
 /// @throws std::runtime_error naming the path and what is wrong: not there, not readable, truncated, not three-
-/// dimensional, more than one series, a slice missing, or values that are not Hounsfield units (no voxel between -200
-/// and 200, or all the same, or a minimum above -200 as a body in air has none, or outside [-32768, 32767]).
+/// dimensional, not in mm, more than one series, a slice missing, or values that are not Hounsfield units of a body in
+/// air (no voxel between -200 and 200, none between -1200 and -200, or any outside [-32768, 32767]).
 CtVolume readCtVolume(const std::string& path);
 
 /// Writes a CT as NRRD, NIfTI or MetaImage by the file's extension. @throws std::runtime_error naming the path: not
