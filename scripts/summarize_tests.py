@@ -2,8 +2,8 @@
 """Counts the test cases of a catkin test_results folder, names those that failed and prints the closing line.
 
 usage: summarize_tests.py RESULTS_DIR LOG      exit status 1 if a test failed or none ran
-A case counts as skipped where its runner says so; a result file that cannot be read, or that catkin put in the place of
-one that a test never wrote, counts as failed."""
+A case counts as skipped where its runner says so, or (rostest cannot) its suite's output has the line "skipped: NAME"; a
+result file that cannot be read, or that catkin put in the place of one that a test never wrote, counts as failed."""
 import pathlib
 import sys
 import xml.etree.ElementTree as ElementTree
@@ -17,14 +17,16 @@ def cases(results):
         except (ElementTree.ParseError, OSError) as error:
             yield f"{path.name}: {error}", "failed"
             continue
+        output = "".join(element.text or "" for element in root.iter("system-out")).splitlines()
         for case in root.iter("testcase"):
-            # rostest wraps each of its test nodes' own result files in a file that says no more than those do.
             name = f"{path.parent.name}/{path.stem}: {case.get('classname', '')}.{case.get('name', '')}"
             if case.find("failure") is not None or case.find("error") is not None:
                 yield name, "failed"
-            elif case.find("skipped") is not None or case.get("status") == "notrun" or case.get("result") == "skipped":
+            elif (case.find("skipped") is not None or "skipped" in (case.get("result"), case.get("status"))
+                  or case.get("status") == "notrun" or f"skipped: {case.get('name')}" in output):
                 yield name, "skipped"
-            else:
+            # rostest's own result says of a test node that passed no more than the node's result file does.
+            elif not path.name.startswith("rostest-"):
                 yield name, "passed"
 
 

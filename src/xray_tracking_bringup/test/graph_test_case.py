@@ -7,6 +7,7 @@ import numpy as np
 import rosgraph
 import rospy
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
 from xray_tracking_msgs.msg import PatientMotion, TrackedRegion
 
@@ -109,6 +110,11 @@ class GraphTestCase(unittest.TestCase):
             topics[f"/{name}/camera_info"] = ["/motion_estimation"]
             topics[f"/{name}/tracked_region"] = ["/motion_estimation", me]
         self.wait_for_subscribers(topics)
+
+    def start_simulator(self):
+        start = rospy.ServiceProxy("/detector_simulator/start", Trigger)
+        start.wait_for_service(60.0)
+        self.wait_for(lambda: start().success, 60.0, "start of the simulator")
 
     def errors_mm(self, box_mm):
         """TRE of every exposure, in order of time; fails if an exposure has no pose."""

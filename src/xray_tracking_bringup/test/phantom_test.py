@@ -8,7 +8,6 @@ import rospkg
 import rospy
 import rostest
 import yaml
-from std_srvs.srv import Trigger
 
 sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
 from graph_test_case import DETECTORS, GraphTestCase  # noqa: E402
@@ -23,8 +22,7 @@ class PhantomTest(GraphTestCase):
         with open(setup_path, encoding="utf-8") as file:
             box = yaml.safe_load(file)["target_box_mm"]
         self.wait_for_graph()
-        rospy.wait_for_service("/detector_simulator/start", 60.0)
-        self.wait_for(lambda: rospy.ServiceProxy("/detector_simulator/start", Trigger)().success, 60.0, "start")
+        self.start_simulator()
         self.wait_for(lambda: len(self.motions) >= EXPOSURES and len(self.poses) >= EXPOSURES
                       and len(self.tf) >= EXPOSURES, 90.0, "all exposures answered")
 

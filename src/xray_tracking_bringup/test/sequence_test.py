@@ -23,6 +23,8 @@ class SequenceTest(GraphTestCase):
     def test_every_exposure(self):
         sequence = sys.argv[1]
         if not os.path.isfile(os.path.join(sequence, "sequence.yaml")):
+            # rostest's result files know no skipped tests; scripts/summarize_tests.py reads this line.
+            print("skipped: test_every_exposure")
             self.skipTest(f"{sequence} is not there")
         with open(os.path.join(sequence, "sequence.yaml"), encoding="utf-8") as file:
             box = yaml.safe_load(file)["target_box_mm"]

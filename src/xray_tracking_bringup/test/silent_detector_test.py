@@ -19,6 +19,9 @@ class SilentDetectorTest(GraphTestCase):
         self.relay = True
         rospy.Subscriber("held_back/image_raw", Image, lambda image: self.relay and relayed.publish(image),
                          queue_size=10)
+        self.wait_for_graph()
+        self.wait_for(lambda: relayed.get_num_connections() > 0, 60.0, "the tracker of detector_b")
+        self.start_simulator()
         self.wait_for(lambda: len(self.poses) >= 5, 60.0, "poses while both detectors work")
 
         self.relay = False
