@@ -10,7 +10,7 @@ import rostest
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseWithCovarianceStamped, Quaternion, TransformStamped, Vector3
-from sensor_msgs.msg import CameraInfo
+from sensor_msgs.msg import CameraInfo, RegionOfInterest
 from tf2_msgs.msg import TFMessage
 from xray_tracking_msgs.msg import PatientMotion, TrackedRegion
 
@@ -52,6 +52,13 @@ class Detector:
         along = self.z.dot(self.origin - self.source) / self.z.dot(point - self.source)
         on_panel = self.source + along * (point - self.source) - self.origin
         return np.array([on_panel.dot(self.x), on_panel.dot(self.y)]) / self.pitch
+
+    def lift(self, pixel, target):
+        """The point on the pixel's ray in the plane through `target` that faces the source."""
+        on_panel = self.pitch * pixel
+        ray = self.origin + on_panel[0] * self.x + on_panel[1] * self.y - self.source
+        normal = target - self.source
+        return self.source + ray * normal.dot(normal) / normal.dot(ray)
 
     def frame(self):
         return self.name + '_optical_frame'
@@ -133,10 +140,15 @@ class Graph:
             rospy.sleep(0.05)
 
     def region(self, detector, stamp, motion, reference_stamp, reference_motion):
-        displacement = detector.project(self.target + motion) - detector.project(self.target + reference_motion)
+        target = self.target + reference_motion
+        width, height = 151, 121
+        corner = np.round(detector.project(target) - [(width - 1) / 2, (height - 1) / 2]).astype(int)
+        centre = corner + [(width - 1) / 2, (height - 1) / 2]
+        displacement = detector.project(detector.lift(centre, target) + motion - reference_motion) - centre
         message = TrackedRegion(state=TrackedRegion.TRACKING, reference_stamp=rospy.Time(0, reference_stamp))
         message.header.stamp = rospy.Time(0, stamp)
         message.header.frame_id = detector.frame()
+        message.region = RegionOfInterest(x_offset=corner[0], y_offset=corner[1], width=width, height=height)
         message.displacement_x, message.displacement_y = displacement
         message.covariance = [0.01, 0.002, 0.002, 0.02]
         message.cpu_time = rospy.Duration(0.001)
