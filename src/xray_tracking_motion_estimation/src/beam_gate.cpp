@@ -129,6 +129,10 @@ BeamGate::Verdict BeamGate::judge(const GateExposure& exposure) const
     return { GateReason::UNCERTAIN, compose("the displacement's standard deviation is ", std::sqrt(variance),
                                             " mm, expected at most ", options_.max_sigma) };
   }
+  if (!exposure.doubt.empty())
+  {
+    return { GateReason::UNCERTAIN, exposure.doubt };
+  }
   if (exposure.displacement.norm() > options_.max_displacement || exposure.rotation > options_.max_rotation)
   {
     return { GateReason::DISPLACED, compose("the target is displaced by ", exposure.displacement.norm(),

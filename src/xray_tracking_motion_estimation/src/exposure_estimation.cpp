@@ -1,11 +1,13 @@
 // How MotionEstimationRos comes from an exposure's tracked regions to an estimate.
 #include <algorithm>
+#include <chrono>
 #include <cmath>
 #include <sstream>
 
 #include "xray_tracking_conversions/conversions.h"
 #include "xray_tracking_motion_estimation/asynchrony.h"
 #include "xray_tracking_motion_estimation/motion_estimation_ros.h"
+#include "xray_tracking_motion_estimation/observability.h"
 
 namespace xray_tracking
 {
@@ -13,13 +15,16 @@ namespace
 {
 using xray_tracking_msgs::PatientMotion;
 using xray_tracking_msgs::TrackedRegion;
+
+/// Distance from the region's centre that stands for its size in the report of what is seen [mm].
+constexpr double kRegionExtent = 25.0;
 }  // namespace
 
 std::optional<MotionEstimate> MotionEstimationRos::estimate(PatientMotion& motion)
 {
   for (std::size_t i = 0; i < views_.size(); ++i)
   {
-    views_[i].doubt = doubtOfState(views_[i], *assembler_->exposure()[i]);
+    views_[i].doubt = doubtOfState(views_[i], assembler_->exposure()[i].get());
   }
   if (!enoughViews(motion))
   {
@@ -61,9 +66,13 @@ std::optional<MotionEstimate> MotionEstimationRos::estimate(PatientMotion& motio
   return result;
 }
 
-MotionEstimationRos::Doubt MotionEstimationRos::doubtOfState(const View& view, const TrackedRegion& region) const
+MotionEstimationRos::Doubt MotionEstimationRos::doubtOfState(const View& view, const TrackedRegion* region) const
 {
-  switch (region.state)
+  if (!region)
+  {
+    return { PatientMotion::LOST, view.name + " is silent" };
+  }
+  switch (region->state)
   {
     case TrackedRegion::TRACKING:
       return Doubt();
@@ -74,7 +83,7 @@ MotionEstimationRos::Doubt MotionEstimationRos::doubtOfState(const View& view, c
     case TrackedRegion::LOST:
       return { PatientMotion::LOST, view.name + " has lost its region" };
     default:
-      return { PatientMotion::LOST, view.name + " has the unknown state " + std::to_string(region.state) };
+      return { PatientMotion::LOST, view.name + " has the unknown state " + std::to_string(region->state) };
   }
 }
 
@@ -137,6 +146,10 @@ std::string MotionEstimationRos::checkGeometry()
                ", expected it to stay where it was at first";
       }
     }
+    if (shape_.wait_for(std::chrono::seconds(0)) == std::future_status::timeout)
+    {
+      return "the target's shape is being taken from " + setup_.ct_path;
+    }
     if (!estimator_)
     {
       std::vector<ProjectionGeometry> geometries;
@@ -144,11 +157,14 @@ std::string MotionEstimationRos::checkGeometry()
       {
         geometries.push_back(view.camera_info.geometry(view.name, view.room_from_optical));
       }
-      estimator_.emplace(parameters_.estimation, geometries, setup_.targetCentre(), shape_, reference_);
+      estimator_.emplace(parameters_.estimation, geometries, setup_.targetCentre(), shape_.get(), reference_);
       geometries_ = std::move(geometries);
+      const TargetShape shape = shape_.get().about(setup_.targetCentre(), reference_.linear());
+      observability_ = describe(observability(geometries_, reference_ * setup_.targetCentre(), shape,
+                                              TrackModel::AFFINE, kRegionExtent));
     }
   }
-  catch (const std::exception& error)  // tf2's, or of a geometry that is none
+  catch (const std::exception& error)  // tf2's, of a geometry that is none, or of a CT
   {
     return error.what();
   }

@@ -45,15 +45,17 @@ void MotionEstimationRos::timerCb(const ros::SteadyTimerEvent&)
   const auto quiet = [&](const View& view)
   { return (now - std::max(view.last_arrival, first_arrival_)).toSec() > parameters_.view_timeout; };
   const bool any_arrives = !first_arrival_.isZero() && !std::all_of(views_.begin(), views_.end(), quiet);
-  for (View& view : views_)
+  for (std::size_t i = 0; i < views_.size(); ++i)
   {
+    View& view = views_[i];
     const bool silent = any_arrives && quiet(view);
     if (silent && !view.silent)
     {
       ROS_WARN_STREAM("nothing arrives on " << view.tracked_region_subscriber.getTopic()
-                                            << " while other detectors send: no pose until it does");
+                                            << " while other detectors send: "
+                                            << (views_.size() > 2 ? "it is not waited for" : "no pose until it does"));
     }
-    view.silent = silent;
+    setSilent(i, silent);
     if (view.camera_info.fault() != view.logged_fault)
     {
       view.logged_fault = view.camera_info.fault();
@@ -131,6 +133,7 @@ void MotionEstimationRos::diagnose(diagnostic_updater::DiagnosticStatusWrapper& 
   status.add("exposures dropped, a view missing", assembler_->incomplete());
   status.add("duplicates dropped", assembler_->duplicates());
   status.add("late messages dropped", assembler_->late());
+  status.add("observability", observability_);
   status.add("beam gate", std::string(gateReasonName(gate_->gate().reason())) + ": " + gate_->gate().text());
   status.add("refinements asked for", refinement_->requests());
   status.add("refinements accepted", refinement_->accepted());

@@ -53,6 +53,8 @@ MotionEstimationParameters readMotionEstimationParameters(const ros::NodeHandle&
   MotionEstimationOptions& estimation = parameters.estimation;
   std::string method = "least_squares";
   own.read("method", method);
+  std::string target_shape = "isotropic";
+  own.read("target_shape", target_shape);
   own.read("significance", estimation.significance);
   own.read("floor_sigma", estimation.floor_sigma);
   own.read("linear_floor_sigma", estimation.linear_floor_sigma);
@@ -98,6 +100,9 @@ MotionEstimationParameters readMotionEstimationParameters(const ros::NodeHandle&
 
   estimation.method = estimationMethodFromName(method);
   parameters.refinement.mode = refinementModeFromName(mode);
+  requireOption(target_shape == "isotropic" || target_shape == "bone", "target_shape", "'" + target_shape + "'",
+                "isotropic or bone");
+  parameters.bone_shape = target_shape == "bone";
   own.validate(estimation);
   consistency.validate(parameters.consistency);
   prediction.validate(parameters.prediction);

@@ -8,6 +8,7 @@
 
 #include "xray_tracking_conversions/conversions.h"
 #include "xray_tracking_core/stopwatch.h"
+#include "xray_tracking_motion_estimation/bone_shape.h"
 
 namespace xray_tracking
 {
@@ -81,7 +82,9 @@ void MotionEstimationRos::start()
   gate_.emplace(nh_, parameters_.gate);
   setup_ = loadTreatmentSetup(parameters_.setup_file);
   reference_ = setup_.room_from_patient;
-  shape_ = TargetShape::isotropic(setup_.targetCentre());
+  shape_ = std::async(parameters_.bone_shape ? std::launch::async : std::launch::deferred,
+                      [setup = setup_, bone = parameters_.bone_shape]
+                      { return bone ? boneShape(setup) : TargetShape::isotropic(setup.targetCentre()); });
   consistency_.emplace(parameters_.consistency);
   predictor_.emplace(parameters_.prediction, setup_.targetCentre());
   refinement_client_.emplace(nh_, parameters_.refinement.timeout);
@@ -125,6 +128,7 @@ void MotionEstimationRos::trackedRegionCb(const TrackedRegion::ConstPtr& message
   {
     first_arrival_ = views_[view].last_arrival;
   }
+  setSilent(view, false);
   const auto outcome = assembler_->add(view, nanosecondsFromTime(message->header.stamp), message);
   if (outcome != ExposureAssembler<TrackedRegion::ConstPtr>::Outcome::COMPLETE)
   {
@@ -171,6 +175,10 @@ void MotionEstimationRos::trackedRegionCb(const TrackedRegion::ConstPtr& message
   double wall_seconds = 0.0;
   for (const TrackedRegion::ConstPtr& region : assembler_->exposure())
   {
+    if (!region)
+    {
+      continue;
+    }
     cpu_seconds += region->cpu_time.toSec();
     wall_seconds = std::max(wall_seconds, region->wall_time.toSec());
   }
@@ -178,6 +186,16 @@ void MotionEstimationRos::trackedRegionCb(const TrackedRegion::ConstPtr& message
   motion.wall_time = durationFromSeconds(wall_seconds + stopwatch.wallSeconds());
   motion_publisher_.publish(motion);
   report(motion);
+}
+
+void MotionEstimationRos::setSilent(std::size_t view, bool silent)
+{
+  views_[view].silent = silent;
+  const auto heard = std::count_if(views_.begin(), views_.end(), [](const View& v) { return !v.silent; });
+  for (std::size_t i = 0; i < views_.size(); ++i)
+  {
+    assembler_->expect(i, heard < 2 || !views_[i].silent);
+  }
 }
 
 void MotionEstimationRos::publishPose(const MotionEstimate& estimate, const ros::Time& stamp)

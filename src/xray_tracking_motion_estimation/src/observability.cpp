@@ -17,7 +17,12 @@ namespace
 /// Less information than this share of the best direction's is none: a standard deviation a thousand times larger.
 constexpr double kSeen = 1e-6;
 
-void principalDeviations(const Eigen::Matrix3d& information, Eigen::Matrix3d& directions, Eigen::Vector3d& deviations)
+// Nor is one that leaves more than this open for a pixel: rounding.
+constexpr double kMaxTranslation = 1e5;  // mm
+constexpr double kMaxRotation = 2.0 * M_PI;
+
+void principalDeviations(const Eigen::Matrix3d& information, double max_deviation, Eigen::Matrix3d& directions,
+                         Eigen::Vector3d& deviations)
 {
   const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> solver(information);
   directions = solver.eigenvectors();
@@ -25,7 +30,8 @@ void principalDeviations(const Eigen::Matrix3d& information, Eigen::Matrix3d& di
   for (int i = 0; i < 3; ++i)
   {
     const double value = solver.eigenvalues()(i);
-    deviations(i) = value > kSeen * best ? 1.0 / std::sqrt(value) : std::numeric_limits<double>::infinity();
+    const bool seen = value > kSeen * best && value * max_deviation * max_deviation > 1.0;
+    deviations(i) = seen ? 1.0 / std::sqrt(value) : std::numeric_limits<double>::infinity();
   }
 }
 }  // namespace
@@ -59,8 +65,9 @@ Observability observability(const std::vector<ProjectionGeometry>& views, const 
     information += jacobian.transpose() * covariance.llt().solve(jacobian);
   }
   Observability result;
-  principalDeviations(information.topLeftCorner<3, 3>(), result.translation_directions, result.translation);
-  principalDeviations(information.bottomRightCorner<3, 3>(), result.rotation_directions, result.rotation);
+  principalDeviations(information.topLeftCorner<3, 3>(), kMaxTranslation, result.translation_directions,
+                      result.translation);
+  principalDeviations(information.bottomRightCorner<3, 3>(), kMaxRotation, result.rotation_directions, result.rotation);
   return result;
 }
 

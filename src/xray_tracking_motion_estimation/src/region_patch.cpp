@@ -34,6 +34,14 @@ TargetShape TargetShape::fromPoints(const std::vector<Eigen::Vector3d>& points)
   return shape;
 }
 
+TargetShape TargetShape::about(const Eigen::Vector3d& centre, const Eigen::Matrix3d& rotation) const
+{
+  TargetShape shape;
+  shape.centroid = rotation * (centroid - centre);
+  shape.moments = rotation * moments * rotation.transpose();
+  return shape;
+}
+
 void TargetShape::validate() const
 {
   const Eigen::LLT<Eigen::Matrix3d> cholesky(moments);

@@ -1,9 +1,31 @@
 #include "xray_tracking_motion_estimation/track.h"
 
 #include <cmath>
+#include <stdexcept>
 
 namespace xray_tracking
 {
+TrackModel trackModelFromName(const std::string& name)
+{
+  if (name == "translation")
+  {
+    return TrackModel::TRANSLATION;
+  }
+  if (name == "euclidean")
+  {
+    return TrackModel::EUCLIDEAN;
+  }
+  if (name == "similarity")
+  {
+    return TrackModel::SIMILARITY;
+  }
+  if (name == "affine")
+  {
+    return TrackModel::AFFINE;
+  }
+  throw std::invalid_argument("model is '" + name + "', expected translation, euclidean, similarity or affine");
+}
+
 Vector6d Track::warp() const
 {
   Vector6d result;

@@ -107,6 +107,7 @@ TEST_F(BeamGateTest, ClosesOnUncertainty)
   expectClosedBy(GateReason::UNCERTAIN,
                  [](GateExposure& e) { e.covariance << 0.8, 0.7, 0.0, 0.7, 0.8, 0.0, 0.0, 0.0, 0.1; });
   expectClosedBy(GateReason::UNCERTAIN, [](GateExposure& e) { e.covariance(1, 1) = -1.0; });
+  expectClosedBy(GateReason::UNCERTAIN, [](GateExposure& e) { e.doubt = "detector_a is degraded"; });
 }
 
 TEST_F(BeamGateTest, ClosesOnRotation)

@@ -136,6 +136,27 @@ TEST(ExposureAssembler, StartsAgainOneViewAfterTheOther)
   EXPECT_EQ(assembler.incomplete(), 0u);
 }
 
+TEST(ExposureAssembler, DoesNotWaitForAViewThatIsNotExpected)
+{
+  Assembler assembler(3, 10);
+  assembler.expect(0, false);
+  assembler.add(1, kSecond, "b1");
+  EXPECT_EQ(assembler.add(2, kSecond, "c1"), Outcome::COMPLETE);
+  EXPECT_EQ(assembler.exposure(), (std::vector<std::string>{ "", "b1", "c1" }));
+  EXPECT_EQ(assembler.stamp(), kSecond);
+  // It comes after all: for what has been completed it is too late, for the next one it is in time.
+  EXPECT_EQ(assembler.add(0, kSecond, "a1"), Outcome::DUPLICATE);
+  assembler.add(0, 2 * kSecond, "a2");
+  assembler.add(1, 2 * kSecond, "b2");
+  EXPECT_EQ(assembler.add(2, 2 * kSecond, "c2"), Outcome::COMPLETE);
+  EXPECT_EQ(assembler.exposure(), (std::vector<std::string>{ "a2", "b2", "c2" }));
+  assembler.expect(0, true);
+  assembler.add(1, 3 * kSecond, "b3");
+  EXPECT_EQ(assembler.add(2, 3 * kSecond, "c3"), Outcome::PENDING);
+  EXPECT_EQ(assembler.add(0, 3 * kSecond, "a3"), Outcome::COMPLETE);
+  EXPECT_FALSE(assembler.restarted());
+}
+
 TEST(ExposureAssembler, PairsWithinATolerance)
 {
   Assembler assembler(2, 10, 4);

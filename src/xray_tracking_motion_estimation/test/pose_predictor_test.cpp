@@ -10,7 +10,7 @@
 #include <boost/math/distributions/chi_squared.hpp>
 
 #include "heap_watch.h"
-#include "motion_traces.h"
+#include "xray_tracking_motion_estimation/motion_traces.h"
 
 namespace xray_tracking
 {

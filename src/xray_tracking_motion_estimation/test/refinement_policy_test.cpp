@@ -8,7 +8,7 @@
 
 #include <gtest/gtest.h>
 
-#include "motion_traces.h"
+#include "xray_tracking_motion_estimation/motion_traces.h"
 #include "xray_tracking_motion_estimation/pose_history.h"
 
 namespace xray_tracking

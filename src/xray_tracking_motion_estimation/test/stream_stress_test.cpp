@@ -6,9 +6,9 @@
 #include <gtest/gtest.h>
 
 #include "heap_watch.h"
-#include "motion_traces.h"
 #include "xray_tracking_motion_estimation/beam_gate.h"
 #include "xray_tracking_motion_estimation/exposure_assembler.h"
+#include "xray_tracking_motion_estimation/motion_traces.h"
 #include "xray_tracking_motion_estimation/pose_history.h"
 #include "xray_tracking_motion_estimation/pose_predictor.h"
 

@@ -20,7 +20,7 @@ enum class GateReason : std::uint8_t
   INCONSISTENT = 3,  ///< its views contradict each other
   STALE = 4,         ///< the latest exposure is too old
   BAD_STAMP = 5,     ///< it is stamped in the future, or no later than the one before
-  UNCERTAIN = 6,     ///< its covariance is over the bound
+  UNCERTAIN = 6,     ///< its covariance is over the bound, or there is a doubt about its pose
   DISPLACED = 7,     ///< the target is too far from where it should be, or turned too much
   JUMP = 8,          ///< the target moved faster than a body does, which nothing has confirmed so far
   CONFIRMING = 9     ///< good, but not for long enough
@@ -70,6 +70,9 @@ struct GateExposure
   /// NONE if it has a pose; NOT_MEASURED or INCONSISTENT otherwise, with a text.
   GateReason fault = GateReason::NOT_MEASURED;
   std::string text;
+
+  /// Why the pose that there is might be worse than its covariance says; empty if there is no such doubt.
+  std::string doubt;
 
   Eigen::Vector3d displacement = Eigen::Vector3d::Zero();  ///< target's centre from its planned place, room axes [mm]
   double rotation = 0.0;                                   ///< from the planned one [rad]

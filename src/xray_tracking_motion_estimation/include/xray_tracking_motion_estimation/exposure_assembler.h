@@ -32,7 +32,7 @@ public:
   /// @param capacity number of incomplete exposures kept, 1 or more; what has waited longest gives way
   /// @param tolerance of stamps of one exposure [ns], less than half the time between exposures; 0: the same stamp
   ExposureAssembler(std::size_t views, std::size_t capacity, std::int64_t tolerance = 0)
-    : views_(views), capacity_(capacity), tolerance_(tolerance), slots_(capacity + 1)
+    : views_(views), capacity_(capacity), tolerance_(tolerance), expected_(views, true), slots_(capacity + 1)
   {
     for (Slot& slot : slots_)
     {
@@ -42,6 +42,10 @@ public:
     exposure_.reserve(views);
     stamps_.resize(views);
   }
+
+  /// Whether exposures wait for this view, as they do at first. One that is not waited for and not there is an Item() in
+  /// exposure().
+  void expect(std::size_t view, bool expected) { expected_[view] = expected; }
 
   /// @param stamp exposure time [ns]
   Outcome add(std::size_t view, std::int64_t stamp, Item item)
@@ -76,7 +80,7 @@ public:
     }
     slot->stamps[view] = stamp;
     slot->items[view] = std::move(item);
-    if (std::all_of(slot->items.begin(), slot->items.end(), [](const auto& i) { return i.has_value(); }))
+    if (isComplete(*slot))
     {
       complete(slot);
       return Outcome::COMPLETE;
@@ -116,6 +120,18 @@ private:
   };
   using SlotIterator = typename std::vector<Slot>::iterator;
 
+  bool isComplete(const Slot& slot) const
+  {
+    for (std::size_t view = 0; view < views_; ++view)
+    {
+      if (expected_[view] && !slot.items[view])
+      {
+        return false;
+      }
+    }
+    return true;
+  }
+
   void complete(SlotIterator slot)
   {
     const bool first = exposure_.empty();
@@ -123,8 +139,8 @@ private:
     exposure_.clear();
     for (std::size_t view = 0; view < views_; ++view)
     {
-      exposure_.push_back(std::move(*slot->items[view]));
-      stamps_[view] = slot->stamps[view];
+      exposure_.push_back(slot->items[view] ? std::move(*slot->items[view]) : Item());
+      stamps_[view] = slot->items[view] ? slot->stamps[view] : slot->stamp;
     }
     restarted_ = !first && stamps_.front() < last;
 
@@ -162,6 +178,7 @@ private:
   std::size_t views_;
   std::size_t capacity_;
   std::int64_t tolerance_;
+  std::vector<bool> expected_;
   std::vector<Slot> slots_;  ///< the first `used_` are in use, in the order in which they began to wait
   std::size_t used_ = 0;
   std::vector<Item> exposure_;

@@ -19,6 +19,7 @@ struct MotionEstimationParameters
 {
   std::string setup_file;
   std::vector<std::string> detectors;
+  bool bone_shape = false;  ///< the target's shape is that of its bone; otherwise it is not known
   MotionEstimationOptions estimation;
   ConsistencyOptions consistency;
   PosePredictorOptions prediction;

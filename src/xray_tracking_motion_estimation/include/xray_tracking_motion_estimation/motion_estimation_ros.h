@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <future>
 #include <optional>
 #include <string>
 #include <utility>
@@ -64,7 +65,7 @@ private:
     Doubt doubt;                                                    ///< of the last exposure
     std::string logged_doubt;                                       ///< while the others made a pose
     ros::SteadyTime last_arrival;
-    bool silent = false;
+    bool silent = false;  ///< not waited for while two others are there
     std::string logged_fault;  ///< of camera_info
   };
 
@@ -76,7 +77,8 @@ private:
 
   // Of the last complete exposure, in exposure_estimation.cpp. What they say to `motion` is why there is no pose.
   std::optional<MotionEstimate> estimate(PatientMotion& motion);
-  Doubt doubtOfState(const View& view, const TrackedRegion& region) const;
+  /// @param region null if the view was not waited for
+  Doubt doubtOfState(const View& view, const TrackedRegion* region) const;
   /// @return false, and the worst doubt in `motion`, if fewer than two views take part
   bool enoughViews(PatientMotion& motion) const;
   /// Makes the estimator, or sees whether the geometry is still the one that it was made with; never estimates with
@@ -89,6 +91,7 @@ private:
 
   void publishPose(const MotionEstimate& estimate, const ros::Time& stamp);
   void publishPrediction();
+  void setSilent(std::size_t view, bool silent);
   void tellGate(const PatientMotion& motion, const std::optional<MotionEstimate>& estimate);
   Eigen::Vector3d displacement(const RigidTransform& room_from_patient) const;
   void accept(const Refinement& refinement);
@@ -104,13 +107,14 @@ private:
   std::string configuration_fault_;  ///< empty if the node works
   MotionEstimationParameters parameters_;
   TreatmentSetup setup_;
-  TargetShape shape_;
+  std::shared_future<TargetShape> shape_;  ///< may have to be read from a CT
 
   std::vector<View> views_;
   std::optional<ExposureAssembler<TrackedRegion::ConstPtr>> assembler_;
   std::vector<ProjectionGeometry> geometries_;  ///< what the first estimator was made with; empty before
   RigidTransform reference_;                    ///< pose that motion is counted from: the setup's until it is refined
   std::optional<MotionEstimator> estimator_;
+  std::string observability_;  ///< of the geometry, for people
   std::optional<ConsistencyMonitor> consistency_;
   PoseHistory history_;
   std::optional<RigidTransform> last_pose_;

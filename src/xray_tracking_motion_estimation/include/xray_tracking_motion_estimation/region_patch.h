@@ -21,6 +21,9 @@ struct TargetShape
   /// Of points of the tracked bone, patient frame [mm]. @throws std::invalid_argument if they do not span space
   static TargetShape fromPoints(const std::vector<Eigen::Vector3d>& points);
 
+  /// The same seen from `centre` (patient frame), in axes that are turned by `rotation`.
+  TargetShape about(const Eigen::Vector3d& centre, const Eigen::Matrix3d& rotation) const;
+
   /// @throws std::invalid_argument naming what is not finite or not positive definite
   void validate() const;
 };

@@ -1,5 +1,7 @@
 #pragma once
 
+#include <string>
+
 #include <Eigen/Core>
 
 namespace xray_tracking
@@ -15,6 +17,9 @@ enum class TrackModel
   SIMILARITY = 4,   ///< and a, b of the linear part [a -b; b a]
   AFFINE = 6        ///< and all four numbers of the linear part
 };
+
+/// @throws std::invalid_argument if `name` is none of translation, euclidean, similarity, affine
+TrackModel trackModelFromName(const std::string& name);
 
 /// How a region of an image lies relative to where it was: a point x is now at
 /// centre + displacement + linear (x - centre).
