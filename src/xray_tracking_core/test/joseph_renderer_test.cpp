@@ -361,8 +361,8 @@ TEST_F(BlockTest, ASingleLayerSeenFromItsEdge)
   block_ = sample([](const Eigen::Vector3d&) { return 0.5; }, Eigen::Vector3d(1, 1, 2).asDiagonal(), { 1, 31, 20 }, 1);
   EXPECT_NEAR(onAxis({ 0, 0, 0 }), 20.0, 1e-4);
   EXPECT_NEAR(onAxis({ 0.5, 0, 0 }), 10.0, 1e-4);
-  const auto aslant = [this](double turn) {
-    return render(block_, panel_, pose({ 0, turn, 0 }, { 0, 0, 0 })).at<float>(40, 48);
+  const auto aslant = [this](const Eigen::Vector3d& turn) {
+    return render(block_, panel_, pose(turn, { 0, 0, 0 })).at<float>(40, 48);
   };
   // The ray leaves the layer at an angle: planes 2 mm apart along k in which it is (n + 1/2) 2 tan mm off the middle.
   const double slope = std::tan(0.1);
@@ -371,10 +371,10 @@ TEST_F(BlockTest, ASingleLayerSeenFromItsEdge)
   {
     sum += 0.5 * std::max(0.0, 1.0 - std::abs((n + 0.5) * 2.0 * slope)) * 2.0 / std::cos(0.1);
   }
-  EXPECT_NEAR(aslant(0.1), sum, 1e-4);
-  // An odd number of planes: the middle one is met in its middle.
+  EXPECT_NEAR(aslant({ 0, 0.1, 0 }), sum, 1e-4);
+  // A single voxel, met in its middle by a ray along no axis.
   block_ = sample([](const Eigen::Vector3d&) { return 0.5; }, Eigen::Vector3d(1, 1, 2).asDiagonal(), { 1, 1, 1 }, 1);
-  EXPECT_NEAR(aslant(0.1), 1.0 / std::cos(0.1), 1e-4);
+  EXPECT_NEAR(aslant({ 0.1, 0.2, 0 }), 1.0 / std::cos(std::hypot(0.1, 0.2)), 1e-4);
 }
 
 TEST_F(BlockTest, MissesAreZeroAndTheImageIsReused)
