@@ -113,9 +113,10 @@ TEST(CtAnatomy, SplittingTakesNothingAway)
     ShearWarpRenderer(soft).render(geometry, setup.room_from_patient, whole.soft);
     ShearWarpRenderer(bone).render(geometry, setup.room_from_patient, whole.bone);
     ASSERT_GT(cv::norm(whole.bone, cv::NORM_INF), 10.0);
-    // Interpolation is linear; what is left is the renderer's own error, about 0.1 % in each of two images.
-    EXPECT_LT(cv::norm(sum.soft, whole.soft), 0.0015 * cv::norm(whole.soft));
-    EXPECT_LT(cv::norm(sum.bone, whole.bone), 0.0015 * cv::norm(whole.bone));
+    // Interpolation is linear; what is left is the error of three renderings of edges as hard as voxels allow, each
+    // about 0.12 %.
+    EXPECT_LT(cv::norm(sum.soft, whole.soft), 0.0025 * cv::norm(whole.soft));
+    EXPECT_LT(cv::norm(sum.bone, whole.bone), 0.0025 * cv::norm(whole.bone));
   }
 }
 
