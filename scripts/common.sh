@@ -33,14 +33,17 @@ install_dependencies() {
   rm -f "$log"
 }
 
+# Of a build's output, what a person waiting for it wants to see.
+show_build() { grep --line-buffered -E 'warning:|error:|Error|Linking CXX (shared|executable)' | sed -u 's/^/  /' || true; }
+
 # Builds the workspace in Release; further arguments go to catkin_make. Shows the compiler's warnings and the progress.
 build_workspace() {
   local log="$root/build/build.log"
   mkdir -p "$root/build"
   say "Building (log: $log) ..."
-  (cd "$root" && catkin_make -DCMAKE_BUILD_TYPE=Release "$@") 2>&1 | tee "$log" |
-    grep --line-buffered -E 'warning:|error:|Error|Linking CXX (shared|executable)' | sed -u 's/^/  /' || true
-  [ "${PIPESTATUS[0]}" -eq 0 ] || fail "the build failed; see $log"
+  if ! (cd "$root" && catkin_make -DCMAKE_BUILD_TYPE=Release "$@") 2>&1 | tee "$log" | show_build; then
+    fail "the build failed; see $log"
+  fi
 }
 
 # Makes the workspace's packages known to this shell.

@@ -1,5 +1,6 @@
 #!/usr/bin/python3
 """Loads every launch and YAML file of the package set."""
+import itertools
 import pathlib
 import unittest
 
@@ -11,9 +12,11 @@ import rostest
 import yaml
 
 PACKAGES = [name for name in rospkg.RosPack().list() if name.startswith("xray_tracking_")]
+METHODS = ("tracking", "registration", "tracking_and_registration")
 REQUIRED_ARGUMENTS = {
     "tracking.launch": ["setup_file:=/setup.yaml"],
     "playback.launch": ["bag:=/exposures.bag", "setup_file:=/setup.yaml"],
+    "supervisor.launch": ["start_mode:=simulator", "start_service:=/start", "exposures:=1"],
     "latency.launch": ["sequence:=/sequence"],
 }
 
@@ -34,11 +37,12 @@ class ConfigurationTest(unittest.TestCase):
         paths = list(files("launch", "*.launch"))
         self.assertGreaterEqual(len(paths), 3)
         for path in paths:
-            for switch in ("false", "true"):
+            for switch, method in itertools.product(("false", "true"), METHODS):
                 arguments = list(REQUIRED_ARGUMENTS.get(path.name, []))
                 text = path.read_text()
-                arguments += [f"{name}:={switch}" for name in ("rviz", "supervised") if f'<arg name="{name}"' in text]
-                with self.subTest(path=path.name, switch=switch):
+                values = {"rviz": switch, "supervised": switch, "method": method}
+                arguments += [f"{name}:={value}" for name, value in values.items() if f'<arg name="{name}"' in text]
+                with self.subTest(path=path.name, arguments=arguments):
                     config = load(path, arguments)
                     self.assertEqual(config.config_errors, [])
                     self.assertTrue(config.nodes)

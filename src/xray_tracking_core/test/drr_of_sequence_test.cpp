@@ -1,12 +1,11 @@
 #include <cmath>
-#include <memory>
 #include <string>
 
 #include <gtest/gtest.h>
 #include <opencv2/core.hpp>
 
 #include "shared_data.h"
-#include "xray_tracking_core/projection/drr_renderer.h"
+#include "xray_tracking_core/projection/shear_warp_renderer.h"
 #include "xray_tracking_core/sequence/sequence.h"
 #include "xray_tracking_core/volume/attenuation.h"
 
@@ -18,14 +17,12 @@ namespace
 TEST_F(SharedDataTest, DrrLooksLikeTheXRayImage)
 {
   const Sequence sequence = loadSequence(folder_ + "/sequences/thorax_01");
-  const auto attenuation =
-      std::make_shared<const ScalarVolume>(attenuationVolume(readCtVolume(sequence.setup.ct_path)));
-  const auto renderer = makeJosephRenderer(attenuation);
+  const ShearWarpRenderer renderer(attenuationVolume(readCtVolume(sequence.setup.ct_path)));
   for (std::size_t n = 0; n < sequence.setup.detectors.size(); ++n)
   {
     const ProjectionGeometry& detector = sequence.setup.detectors[n];
     cv::Mat drr;
-    renderer->render(detector, sequence.setup.room_from_patient, drr);
+    renderer.render(detector, sequence.setup.room_from_patient, drr);
     cv::Mat counts;
     readXrayImage(sequence.exposures.front().files[n], detector.imageSize()).convertTo(counts, CV_32F);
     cv::Mat xray;

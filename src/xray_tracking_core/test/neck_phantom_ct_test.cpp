@@ -9,7 +9,7 @@
 
 #include "phantom_samples.h"
 #include "test_helpers.h"
-#include "xray_tracking_core/projection/drr_renderer.h"
+#include "xray_tracking_core/projection/shear_warp_renderer.h"
 
 namespace xray_tracking
 {
@@ -153,12 +153,11 @@ TEST(NeckPhantomCt, RadiographsOfItAgreeWithTheExactOnes)
 {
   PhantomCtOptions options;
   options.noise_hu = 0.0;  // the noise of air, of which only the upper half attenuates, would be a bias
-  const auto volume = std::make_shared<const ScalarVolume>(attenuationVolume(phantom().sampleCt(options)));
-  const auto renderer = makeJosephRenderer(volume);
+  const ShearWarpRenderer renderer(attenuationVolume(phantom().sampleCt(options)));
   for (const ProjectionGeometry& geometry : setup().detectors)
   {
     cv::Mat drr, soft, bone;
-    renderer->render(geometry, setup().room_from_patient, drr);
+    renderer.render(geometry, setup().room_from_patient, drr);
     phantom().lineIntegrals(geometry, setup().room_from_patient, setup().room_from_patient, soft, bone);
     const cv::Mat exact = kWaterAttenuation * soft + kBoneAttenuation * bone;
     const cv::Rect target = projectedTargetRegion(setup(), geometry);

@@ -11,6 +11,7 @@
 #include <tbb/blocked_range.h>
 #include <tbb/parallel_for.h>
 
+#include "xray_tracking_core/projection/shear_warp_renderer.h"
 #include "xray_tracking_core/volume/attenuation.h"
 #include "xray_tracking_detector_simulator/anatomy.h"
 
@@ -50,21 +51,14 @@ IndexBox indexBox(const VolumeGrid& grid, const Eigen::AlignedBox3d& patient_box
   return { first.cast<int>(), last.cast<int>() };
 }
 
-std::shared_ptr<ScalarVolume> makeVolume(const VolumeGrid& grid, const IndexBox& box)
+ScalarVolume makeVolume(const VolumeGrid& grid, const IndexBox& box)
 {
-  auto volume = std::make_shared<ScalarVolume>();
-  volume->grid.size = box.size();
-  volume->grid.patient_from_index = grid.patient_from_index;
-  volume->grid.patient_from_index.translate(box.first.cast<double>());
-  volume->values.assign(volume->grid.voxelCount(), 0.0F);
+  ScalarVolume volume;
+  volume.grid.size = box.size();
+  volume.grid.patient_from_index = grid.patient_from_index;
+  volume.grid.patient_from_index.translate(box.first.cast<double>());
+  volume.values.assign(volume.grid.voxelCount(), 0.0F);
   return volume;
-}
-
-std::unique_ptr<DrrRenderer> makeRenderer(std::shared_ptr<const ScalarVolume> volume)
-{
-  const bool content =
-      std::any_of(volume->values.begin(), volume->values.end(), [](float value) { return value != 0.0F; });
-  return content ? makeJosephRenderer(std::move(volume)) : nullptr;
 }
 
 /// The materials of every HU there is, by HU less the lowest int16.
@@ -117,14 +111,11 @@ std::string text(const Eigen::AlignedBox3d& box)
   return out.str();
 }
 
-void addRendering(const DrrRenderer* renderer, const ProjectionGeometry& geometry, const RigidTransform& pose,
+void addRendering(const DrrRenderer& renderer, const ProjectionGeometry& geometry, const RigidTransform& pose,
                   cv::Mat& buffer, cv::Mat& sum)
 {
-  if (renderer != nullptr)
-  {
-    renderer->render(geometry, pose, buffer);
-    sum += buffer;
-  }
+  renderer.render(geometry, pose, buffer);
+  sum += buffer;
 }
 }  // namespace
 
@@ -147,19 +138,19 @@ CtAnatomy::CtAnatomy(const CtVolume& ct, const Eigen::AlignedBox3d& target_box)
   const std::vector<Materials> table = materialTable();
   const auto build = [&](double Materials::*material)
   {
-    const auto body = makeVolume(ct.grid, whole_box);
+    ScalarVolume body = makeVolume(ct.grid, whole_box);
     tbb::parallel_for(tbb::blocked_range<std::size_t>(0, ct.hu.size()),
                       [&](const auto& range)
                       {
                         for (std::size_t i = range.begin(); i != range.end(); ++i)
                         {
                           const int row = ct.hu[i] - std::numeric_limits<std::int16_t>::min();
-                          body->values[i] = static_cast<float>(table[static_cast<std::size_t>(row)].*material);
+                          body.values[i] = static_cast<float>(table[static_cast<std::size_t>(row)].*material);
                         }
                       });
-    const auto target = makeVolume(ct.grid, target_indices);
-    splitOff(target_box, target_indices, *body, *target);
-    return std::make_pair(makeRenderer(target), makeRenderer(body));
+    ScalarVolume target = makeVolume(ct.grid, target_indices);
+    splitOff(target_box, target_indices, body, target);
+    return std::make_pair(std::make_unique<ShearWarpRenderer>(target), std::make_unique<ShearWarpRenderer>(body));
   };
   std::tie(target_.soft, rest_.soft) = build(&Materials::soft);
   std::tie(target_.bone, rest_.bone) = build(&Materials::bone);
@@ -175,9 +166,9 @@ void CtAnatomy::materials(const ProjectionGeometry& geometry, const BodyPoses& p
     sum->create(size, CV_32FC1);
     sum->setTo(0.0);
   }
-  addRendering(target_.soft.get(), geometry, poses.room_from_target, buffer, soft);
-  addRendering(rest_.soft.get(), geometry, poses.room_from_rest, buffer, soft);
-  addRendering(target_.bone.get(), geometry, poses.room_from_target, buffer, bone);
-  addRendering(rest_.bone.get(), geometry, poses.room_from_rest, buffer, bone);
+  addRendering(*target_.soft, geometry, poses.room_from_target, buffer, soft);
+  addRendering(*rest_.soft, geometry, poses.room_from_rest, buffer, soft);
+  addRendering(*target_.bone, geometry, poses.room_from_target, buffer, bone);
+  addRendering(*rest_.bone, geometry, poses.room_from_rest, buffer, bone);
 }
 }  // namespace xray_tracking

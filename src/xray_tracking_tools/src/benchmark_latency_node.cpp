@@ -114,9 +114,12 @@ private:
     RequiredSubscribers listeners;
     for (const Detector& detector : detectors_)
     {
-      if (detector.image_publisher.getNumSubscribers() == 0)
+      for (const ros::Publisher* publisher : { &detector.image_publisher, &detector.info_publisher })
       {
-        return "nobody subscribes to " + detector.image_publisher.getTopic();
+        if (publisher->getNumSubscribers() == 0)
+        {
+          return "nobody subscribes to " + publisher->getTopic();
+        }
       }
       listeners[detector.region_topic] = { nh_.resolveName("motion_estimation") };
     }

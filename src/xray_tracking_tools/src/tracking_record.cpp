@@ -2,6 +2,7 @@
 
 #include <cstdio>
 #include <stdexcept>
+#include <utility>
 
 #include <geometry_msgs/PoseStamped.h>
 #include <geometry_msgs/PoseWithCovarianceStamped.h>
@@ -15,7 +16,12 @@ namespace xray_tracking
 {
 namespace
 {
+constexpr const char* kTracking = "tracking";
+constexpr const char* kTrackingAndRegistration = "tracking_and_registration";
+
 using xray_tracking_msgs::PatientMotion;
+using xray_tracking_msgs::RefinedPose;
+using xray_tracking_msgs::RefinementResult;
 
 std::string secondsText(std::int64_t stamp_ns)
 {
@@ -48,6 +54,20 @@ void readMessage(const rosbag::MessageInstance& instance, const std::string& top
       }
       insertOnce(record.motions, stamp_ns, *motion);
     }
+    else if (const auto refined = instance.instantiate<RefinedPose>())
+    {
+      stamp_ns = nanosecondsFromTime(refined->header.stamp) - epoch_ns;
+      if (refined->result.status > RefinementResult::BUSY)
+      {
+        throw std::invalid_argument("status is " + std::to_string(refined->result.status) + ", expected 0 to 8");
+      }
+      if (!record.refined_poses.empty() && record.refined_poses.begin()->second.method != refined->method)
+      {
+        throw std::invalid_argument("method is " + refined->method + ", that of others is " +
+                                    record.refined_poses.begin()->second.method);
+      }
+      insertOnce(record.refined_poses, stamp_ns, *refined);
+    }
     else if (const auto pose = instance.instantiate<geometry_msgs::PoseWithCovarianceStamped>())
     {
       stamp_ns = nanosecondsFromTime(pose->header.stamp) - epoch_ns;
@@ -74,7 +94,7 @@ void readMessage(const rosbag::MessageInstance& instance, const std::string& top
   record.exposures.insert(stamp_ns);
 }
 
-FrameResult frameResult(const TrackingRecord& record, std::int64_t stamp_ns)
+FrameResult trackingResult(const TrackingRecord& record, std::int64_t stamp_ns)
 {
   FrameResult result;
   const auto motion = record.motions.find(stamp_ns);
@@ -98,15 +118,62 @@ FrameResult frameResult(const TrackingRecord& record, std::int64_t stamp_ns)
   return result;
 }
 
-void addTracking(const TrackingRecord& record, Evaluation& evaluation)
+FrameResult refinedResult(const TrackingRecord& record, std::int64_t stamp_ns)
+{
+  FrameResult result;
+  const auto refined = record.refined_poses.find(stamp_ns);
+  if (refined == record.refined_poses.end())
+  {
+    return result;
+  }
+  if (refined->second.method == kTrackingAndRegistration)
+  {
+    result = trackingResult(record, stamp_ns);
+  }
+  result.cpu_s += refined->second.cpu_time.toSec();
+  result.wall_s += refined->second.wall_time.toSec();
+  const bool success = refined->second.result.status == RefinementResult::SUCCESS;
+  result.status = success ? FrameStatus::OK : FrameStatus::LOST;
+  if (success)
+  {
+    result.room_from_patient = rigidFromPoseMsg(refined->second.result.pose.pose);
+  }
+  return result;
+}
+
+void addMethods(const TrackingRecord& record, Evaluation& evaluation)
 {
   MethodResult tracking;
-  tracking.method = "tracking";
+  tracking.method = kTracking;
+  MethodResult refined;
   for (const std::int64_t stamp_ns : evaluation.stamps_ns)
   {
-    tracking.frames.push_back(frameResult(record, stamp_ns));
+    tracking.frames.push_back(trackingResult(record, stamp_ns));
+    refined.frames.push_back(refinedResult(record, stamp_ns));
   }
-  evaluation.methods.push_back(tracking);
+  evaluation.methods.push_back(std::move(tracking));
+  if (!record.refined_poses.empty())
+  {
+    refined.method = record.refined_poses.begin()->second.method;
+    evaluation.methods.push_back(std::move(refined));
+  }
+}
+
+/// Why tracking has no pose of a frame that is lost or failed.
+std::string trackingReason(const TrackingRecord& record, std::int64_t stamp_ns)
+{
+  const auto motion = record.motions.find(stamp_ns);
+  if (motion == record.motions.end())
+  {
+    return "no patient_motion";
+  }
+  return motion->second.state == PatientMotion::OK ? "patient_motion without patient_pose" : motion->second.reason;
+}
+
+std::string refinedReason(const TrackingRecord& record, std::int64_t stamp_ns)
+{
+  const auto refined = record.refined_poses.find(stamp_ns);
+  return refined == record.refined_poses.end() ? "no refined_pose" : refined->second.result.reason;
 }
 }  // namespace
 
@@ -120,8 +187,8 @@ TrackingRecord readTrackingRecord(const std::string& bag_path, std::int64_t epoc
                       [](const rosbag::ConnectionInfo* connection)
                       {
                         const std::string name = connection->topic.substr(connection->topic.rfind('/') + 1);
-                        return name == "patient_motion" || name == "patient_pose" || name == "patient_ground_truth" ||
-                               name == "camera_info";
+                        return name == "patient_motion" || name == "patient_pose" || name == "refined_pose" ||
+                               name == "patient_ground_truth" || name == "camera_info";
                       });
     for (const rosbag::MessageInstance& instance : view)
     {
@@ -159,7 +226,7 @@ Evaluation evaluateRecord(const TrackingRecord& record, const std::string& name,
     }
     evaluation.gold_standard.push_back(truth->second);
   }
-  addTracking(record, evaluation);
+  addMethods(record, evaluation);
   return evaluation;
 }
 
@@ -184,7 +251,7 @@ Evaluation evaluateRecord(const TrackingRecord& record, const std::string& name,
       throw std::runtime_error("the bag's exposure at " + secondsText(stamp_ns) + " is none of the sequence's");
     }
   }
-  addTracking(record, evaluation);
+  addMethods(record, evaluation);
   return evaluation;
 }
 
@@ -199,13 +266,12 @@ std::vector<std::string> unansweredExposures(const Evaluation& evaluation, const
       {
         continue;
       }
-      const auto motion = record.motions.find(evaluation.stamps_ns[k]);
-      const bool lost = method.frames[k].status == FrameStatus::LOST;
-      const std::string reason = lost                             ? motion->second.reason
-                                 : motion == record.motions.end() ? "no patient_motion"
-                                                                  : "patient_motion without patient_pose";
-      lines.push_back("frame " + std::to_string(k) + " (" + secondsText(evaluation.stamps_ns[k]) + ") " +
-                      (lost ? "lost: " : "failed: ") + reason);
+      const std::int64_t stamp_ns = evaluation.stamps_ns[k];
+      const std::string reason =
+          method.method == kTracking ? trackingReason(record, stamp_ns) : refinedReason(record, stamp_ns);
+      lines.push_back("frame " + std::to_string(k) + " (" + secondsText(stamp_ns) + ") " +
+                      (method.method == kTracking ? "" : "of " + method.method + " ") +
+                      (method.frames[k].status == FrameStatus::LOST ? "lost: " : "failed: ") + reason);
     }
   }
   return lines;

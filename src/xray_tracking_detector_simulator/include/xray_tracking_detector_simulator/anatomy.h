@@ -38,9 +38,8 @@ private:
 
 /// Any CT: every voxel is split into soft tissue and bone (materialsFromHu), and by the target box into target and
 /// rest. The target's share is 1 in the box and falls to 0 at `kSoftEdge` from it (raised cosine), so that no edge
-/// appears where the bodies part. Four volumes, the target's two cropped to their box, are rendered and added up;
-/// a volume without any content is left out. Memory: 8 bytes a voxel of the CT, and as much again a voxel of the
-/// target's box.
+/// appears where the bodies part. Four volumes, the target's two cropped to their box, are rendered and added up.
+/// Memory: at most 8 bytes a voxel of the CT, and as much again a voxel of the target's box.
 class CtAnatomy : public Anatomy
 {
 public:
@@ -54,7 +53,6 @@ public:
                  cv::Mat& bone) const override;
 
 private:
-  /// Null where there is nothing of the material.
   struct Body
   {
     std::unique_ptr<DrrRenderer> soft;

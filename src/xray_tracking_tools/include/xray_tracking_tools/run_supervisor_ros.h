@@ -12,6 +12,7 @@
 #include <ros/ros.h>
 #include <sensor_msgs/CameraInfo.h>
 #include <xray_tracking_msgs/PatientMotion.h>
+#include <xray_tracking_msgs/RefinedPose.h>
 #include <xray_tracking_msgs/TrackedRegion.h>
 
 #include "xray_tracking_tools/graph_connections.h"
@@ -20,8 +21,9 @@ namespace xray_tracking
 {
 /// Makes a run of the graph begin when everybody listens, and end when every exposure is answered.
 ///
-/// Parameters: ~exposures, ~detectors, ~required_subscribers, ~start_mode, ~start_service, ~stall_timeout.
-/// Subscribes: patient_motion, <detector>/camera_info, <detector>/tracked_region.
+/// Parameters: ~exposures, ~method, ~detectors, ~required_subscribers, ~start_mode, ~start_service, ~stall_timeout.
+/// Subscribes: patient_motion, <detector>/camera_info, <detector>/tracked_region, and refined_pose if the method
+/// registers.
 /// Calls: ~start_service (std_srvs/Trigger of a simulator, or std_srvs/SetBool of rosbag play's pause_playback).
 /// All its timers are wall timers: it has to see a clock that stands still.
 class RunSupervisorRos
@@ -46,6 +48,9 @@ private:
   std::string callStartService() const;
   void setWaitingFor(const std::string& text);
   void motionCallback(const xray_tracking_msgs::PatientMotion& message);
+  void refinedPoseCallback(const xray_tracking_msgs::RefinedPose& message);
+  /// Exposures of which every answer that is waited for has come.
+  std::size_t answered() const;
   void tick();
   void printProgress(const xray_tracking_msgs::PatientMotion& message);
   void printStall();
@@ -60,7 +65,9 @@ private:
 
   std::map<std::string, DetectorCounts> detectors_;
   std::set<ros::Time> motions_;
-  ros::WallTime last_event_;  ///< start, or the last new patient_motion
+  bool registers_ = false;  ///< whether refined poses are waited for
+  std::set<ros::Time> refined_;
+  ros::WallTime last_event_;  ///< start, or the last new answer
   ros::WallTime last_print_;
   int exit_status_ = 1;
 

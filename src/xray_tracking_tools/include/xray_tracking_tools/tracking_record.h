@@ -7,6 +7,7 @@
 #include <vector>
 
 #include <xray_tracking_msgs/PatientMotion.h>
+#include <xray_tracking_msgs/RefinedPose.h>
 
 #include "xray_tracking_core/evaluation/evaluation.h"
 #include "xray_tracking_core/sequence/sequence.h"
@@ -16,19 +17,23 @@ namespace xray_tracking
 /// What a bag tells of a run, by the exposure's stamp [ns].
 struct TrackingRecord
 {
-  std::set<std::int64_t> exposures;                                   ///< every stamp that occurs
-  std::map<std::int64_t, xray_tracking_msgs::PatientMotion> motions;  ///< `patient_motion`
-  std::map<std::int64_t, RigidTransform> poses;                       ///< `patient_pose`
-  std::map<std::int64_t, RigidTransform> ground_truth;                ///< `patient_ground_truth`
+  std::set<std::int64_t> exposures;                                       ///< every stamp that occurs
+  std::map<std::int64_t, xray_tracking_msgs::PatientMotion> motions;      ///< `patient_motion`
+  std::map<std::int64_t, RigidTransform> poses;                           ///< `patient_pose`
+  std::map<std::int64_t, xray_tracking_msgs::RefinedPose> refined_poses;  ///< `refined_pose`, all of one method
+  std::map<std::int64_t, RigidTransform> ground_truth;                    ///< `patient_ground_truth`
 };
 
 /// Reads a recorded bag; topics count by the last part of their name. Exposures are known from `patient_motion`,
 /// `patient_ground_truth` and the detectors' `camera_info`.
 /// @param epoch_ns subtracted from every stamp: kPlaybackEpochNs for a played sequence, 0 for a live run
 /// @throws std::runtime_error naming bag, topic and stamp: no bag, not closed, a pose that is none, a stamp answered
-/// twice, a state that PatientMotion does not define
+/// twice, a state that the message does not define, refined poses of two methods
 TrackingRecord readTrackingRecord(const std::string& bag_path, std::int64_t epoch_ns);
 
+/// Both judge `tracking`, and the method of the refined poses if there are any; the times of tracking_and_registration
+/// are those of both.
+///
 /// Judges a live run: exposures and gold standard are those of the record.
 /// @throws std::runtime_error if there is no exposure, or a gold standard that lacks some of them
 Evaluation evaluateRecord(const TrackingRecord& record, const std::string& name, const Eigen::AlignedBox3d& target_box);

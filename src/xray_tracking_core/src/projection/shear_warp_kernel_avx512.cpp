@@ -1,0 +1,2 @@
+#define SHEAR_WARP_KERNELS kAvx512Kernels
+#include "shear_warp_kernel.inl"

@@ -1,0 +1,48 @@
+#pragma once
+
+#include <memory>
+#include <vector>
+
+#include <opencv2/core.hpp>
+
+#include "xray_tracking_core/projection/pixel_grid.h"
+#include "xray_tracking_core/projection/shear_warp_renderer.h"
+#include "xray_tracking_core/volume/ct_volume.h"
+
+namespace xray_tracking
+{
+/// One body at several resolutions; line integrals come from the one that suits the pixels.
+class BodyRenderer
+{
+public:
+  /// @param volume attenuation [1/mm]; not needed afterwards
+  /// @param footprint edge of the smallest bins that will be asked for, at the volume [mm]: the finest resolution is
+  ///        smoothed as such bins smooth; coarser ones are halved, as long as their bins can be
+  BodyRenderer(const ScalarVolume& volume, double footprint);
+
+  /// Line integrals at the grid's points and their derivatives by the twist of motionAbout(centre, twist) *
+  /// room_from_body at zero, from the coarsest volume whose finest voxel edge is not above a grid step at `centre`.
+  /// @param line_integrals out, CV_32FC1; @param derivatives out, CV_32FC(6) [1 / rad, 1 / mm]
+  void renderWithDerivatives(const ProjectionGeometry& geometry, const PixelGrid& pixels,
+                             const RigidTransform& room_from_body, const Eigen::Vector3d& centre,
+                             cv::Mat& line_integrals, cv::Mat& derivatives) const;
+  /// Line integrals alone.
+  void render(const ProjectionGeometry& geometry, const PixelGrid& pixels, const RigidTransform& room_from_body,
+              const Eigen::Vector3d& centre, cv::Mat& line_integrals) const;
+
+  /// Bytes held.
+  std::size_t memory() const;
+
+private:
+  struct Level
+  {
+    double edge;  ///< finest voxel edge [mm]
+    std::unique_ptr<const ShearWarpRenderer> renderer;
+  };
+
+  const ShearWarpRenderer& suiting(const ProjectionGeometry& geometry, const PixelGrid& pixels,
+                                   const Eigen::Vector3d& centre) const;
+
+  std::vector<Level> levels_;  ///< fine to coarse
+};
+}  // namespace xray_tracking

@@ -1,0 +1,36 @@
+#pragma once
+
+#include <string>
+
+#include <tf2_ros/buffer.h>
+
+#include <xray_tracking_msgs/RefinementRequest.h>
+#include <xray_tracking_msgs/RefinementResult.h>
+
+#include "xray_tracking_core/sequence/treatment_setup.h"
+#include "xray_tracking_registration/exposure_store.h"
+#include "xray_tracking_registration/registration.h"
+
+/// Messages of a refinement to the library's types and back.
+namespace xray_tracking
+{
+/// The views of an exposure that has all its images: projections from camera_info and the frames' places in the room;
+/// the panel's distance, which neither has, from the setup.
+/// @throws std::invalid_argument, tf2::TransformException or cv_bridge::Exception saying what is wrong with which view
+std::vector<RegistrationView> viewsOf(const StoredExposure& exposure, const TreatmentSetup& setup,
+                                      const tf2_ros::Buffer& tf_buffer);
+
+/// Seed, bounds, budget and regions of a request onto `request`, whose values stay where the message has zeros.
+/// @throws std::invalid_argument naming the field and its value
+void applyRequest(const xray_tracking_msgs::RefinementRequest& message, RegistrationRequest& request);
+
+/// The exposure that a request brings along. @throws std::invalid_argument naming what is missing
+StoredExposure exposureOf(const xray_tracking_msgs::RefinementRequest& message, const TreatmentSetup& setup);
+
+/// @param target_centre of the target box, patient frame [mm]: what the result's covariance is about
+xray_tracking_msgs::RefinementResult resultMessage(const RegistrationResult& result,
+                                                   const Eigen::Vector3d& target_centre);
+
+/// One without a registration.
+xray_tracking_msgs::RefinementResult resultMessage(std::uint8_t status, const std::string& reason);
+}  // namespace xray_tracking

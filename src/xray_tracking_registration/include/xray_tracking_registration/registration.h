@@ -1,0 +1,141 @@
+#pragma once
+
+#include <chrono>
+#include <functional>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include <opencv2/core.hpp>
+
+#include "xray_tracking_core/geometry/projection_geometry.h"
+#include "xray_tracking_core/sequence/treatment_setup.h"
+#include "xray_tracking_core/volume/body_model.h"
+
+namespace xray_tracking
+{
+/// What the rest of the body does; of two bodies only.
+enum class RestMotion
+{
+  ESTIMATED,  ///< 6 degrees of freedom of its own, a nuisance
+  HELD        ///< stays, relative to the room, where the request puts it
+};
+
+enum class Optimiser
+{
+  GAUSS_NEWTON,  ///< Levenberg-Marquardt on least squares of normalised images, with a Huber norm
+  BOBYQA,        ///< derivative-free, on `similarity`
+  NELDER_MEAD    ///< derivative-free, on `similarity`
+};
+
+struct RegistrationOptions
+{
+  RestMotion rest = RestMotion::ESTIMATED;
+  Optimiser optimiser = Optimiser::GAUSS_NEWTON;
+  /// What the derivative-free optimisers maximise (makeSimilarity()), the mean over the views.
+  std::string similarity = "gradient_correlation";
+  double min_similarity = 0.6;  ///< ViewResidual::similarity that every view needs to be believed, -1 to 1
+  /// ViewResidual::coarse_similarity that every view needs, -1 to 1. Tells the next vertebra from the right one, which
+  /// are alike in what is fine.
+  double min_coarse_similarity = 0.7;
+  double max_deviation_mm = 0.75;  ///< expected error from which a pose is not believed (square root of the covariance
+                                   ///< of the least certain direction), > 0 [mm]
+
+  /// @throws std::invalid_argument naming the option, its value and what was expected
+  void validate() const;
+};
+
+/// One view of an exposure.
+struct RegistrationView
+{
+  ProjectionGeometry geometry;
+  cv::Mat image;      ///< as attenuationImage() takes it, of the geometry's size
+  cv::Rect region{};  ///< pixels to compare; empty: where the target box is seen from the start
+};
+
+/// How far a registration has come.
+struct RegistrationProgress
+{
+  int level = 0;          ///< resolution, from 0, coarse to fine
+  int iteration = 0;      ///< over all levels
+  double similarity = 0;  ///< at this level, mean over the views
+  RigidTransform room_from_patient;
+};
+
+struct RegistrationRequest
+{
+  std::vector<RegistrationView> views;  ///< one or more
+  IntensityModel intensity;
+  RigidTransform room_from_patient = RigidTransform::Identity();  ///< start
+  /// Start of the rest, relative to the target, in the patient frame: room_from_rest = room_from_patient *
+  /// target_from_rest. Best the last exposure's result.
+  RigidTransform target_from_rest = RigidTransform::Identity();
+  double max_translation_mm = 30.0;  ///< of the target's centre from the start, > 0 [mm]
+  double max_rotation_rad = 0.26;    ///< from the start, > 0, at most pi [rad]
+  std::chrono::duration<double> time_budget{ 5.0 };
+  /// Called before every rendering of a pose, from run()'s thread; returns whether to go on. May be empty.
+  std::function<bool(const RegistrationProgress&)> progress;
+};
+
+enum class RegistrationStatus
+{
+  SUCCESS,
+  UNRELIABLE,  ///< converged, but by its own figures not to be believed
+  TIMED_OUT,   ///< the budget ended; the best so far, its figures as far as they are known
+  CANCELLED,   ///< by `progress`; the best so far
+  INVALID      ///< bad request; the start is returned
+};
+
+/// Figures of one view at the result.
+struct ViewResidual
+{
+  double similarity = 0.0;         ///< correlation coefficient of the finest level's high-passed images, -1 to 1
+  double coarse_similarity = 0.0;  ///< the same at the coarsest level's resolution
+  double noise = 0.0;              ///< root mean square of the difference of the normalised images, 0 to 2
+  /// By how much the view alone would move the target along what it sees best, two directions across its central ray
+  /// [mm]: large where the views do not agree.
+  double pull_mm = 0.0;
+};
+
+struct RegistrationResult
+{
+  RegistrationStatus status = RegistrationStatus::INVALID;
+  std::string reason;  ///< why it stopped, or why it is not to be believed; never empty
+  RigidTransform room_from_patient = RigidTransform::Identity();
+  RigidTransform target_from_rest = RigidTransform::Identity();  ///< as requested if there is one body alone
+  /// Of the twist (rotation [rad], translation [mm]) about the target's centre in the room:
+  /// motionAbout(room_from_patient * centre, twist) * room_from_patient.
+  Eigen::Matrix<double, 6, 6> covariance = Eigen::Matrix<double, 6, 6>::Zero();
+  double similarity_before = 0.0;  ///< mean over the views of ViewResidual::similarity at the start
+  double similarity_after = 0.0;
+  int iterations = 0;
+  int renderings = 0;  ///< poses that were rendered, all bodies and views
+  std::vector<ViewResidual> views;
+  std::chrono::duration<double> duration{ 0.0 };
+};
+
+/// Registers a CT to X-ray images: finds the pose of the target, and of the rest of the body as a nuisance, at which
+/// their DRRs are most like the images.
+///
+/// Images are compared as attenuation, binned and high-passed with a width that goes from coarse (bins of 3.2 mm, 16
+/// mm) to fine (bins of 1.6 mm, 1.6 mm) on the detector, or to where the CT's voxels set the limit, each view brought
+/// to mean 0 and norm 1. Poses are twists about the target's centre.
+class Registration
+{
+public:
+  /// @param target_box patient frame [mm]
+  /// @throws std::invalid_argument as validate(), or for bodies without a voxel or an empty box
+  Registration(const BodyModel& bodies, const Eigen::AlignedBox3d& target_box, const RegistrationOptions& options = {});
+  ~Registration();
+
+  /// Never throws for bad requests: they give INVALID and the reason. Const and thread safe; uses all cores.
+  RegistrationResult run(const RegistrationRequest& request) const;
+
+  /// Bytes held.
+  std::size_t memory() const;
+
+private:
+  class Implementation;
+  std::unique_ptr<const Implementation> implementation_;
+};
+}  // namespace xray_tracking

@@ -1,0 +1,44 @@
+#pragma once
+
+#include <string>
+
+#include <ros/node_handle.h>
+
+#include "xray_tracking_core/volume/target_mask.h"
+#include "xray_tracking_registration/registration.h"
+
+namespace xray_tracking
+{
+/// Which exposures the node refines by itself.
+enum class RefinementMethod
+{
+  TRACKING,                  ///< none
+  REGISTRATION,              ///< every one, from the last accepted pose
+  TRACKING_AND_REGISTRATION  ///< every one, from motion estimation's pose of the same exposure
+};
+
+/// As in the parameter `method`.
+std::string methodName(RefinementMethod method);
+
+/// The node's parameters (README.md: units, defaults, ranges).
+struct RegistrationParameters
+{
+  RefinementMethod method = RefinementMethod::TRACKING;
+  std::string setup_file;
+  std::string source = "phantom";  ///< or "ct"
+  double phantom_voxel_mm = 1.0;
+  int bodies = 2;
+  std::string mask = "bone";  ///< or "box"
+  TargetMaskOptions mask_options;
+  std::string mask_file;  ///< where to write the mask; empty: nowhere
+  RegistrationOptions options;
+  double max_translation_mm = 30.0;
+  double max_rotation_rad = 0.26;
+  double time_budget_s = 5.0;
+  int queue_size = 50;  ///< exposures
+};
+
+/// Reads and checks all; names that are none are warned of.
+/// @throws std::invalid_argument naming the parameter, its value and what was expected
+RegistrationParameters readRegistrationParameters(const ros::NodeHandle& pnh);
+}  // namespace xray_tracking

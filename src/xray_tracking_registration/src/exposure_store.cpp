@@ -1,0 +1,157 @@
+#include "xray_tracking_registration/exposure_store.h"
+
+#include <algorithm>
+#include <iterator>
+#include <utility>
+
+namespace xray_tracking
+{
+namespace
+{
+/// Time that stamps go back by when a bag starts again; less is a disorder of exposures.
+const ros::Duration kBackwardJump(1.0);
+}  // namespace
+
+ExposureStore::ExposureStore(std::vector<std::string> detectors, std::size_t capacity, bool with_seed)
+  : detectors_(std::move(detectors)), capacity_(capacity), with_seed_(with_seed), last_images_(detectors_.size())
+{
+}
+
+StoredExposure& ExposureStore::at(const ros::Time& stamp)
+{
+  const auto [entry, is_new] = exposures_.try_emplace(stamp);
+  StoredExposure& exposure = entry->second;
+  exposure.last_arrival = ros::SteadyTime::now();
+  if (!is_new)
+  {
+    return exposure;
+  }
+  exposure.images.resize(detectors_.size());
+  exposure.camera_infos.resize(detectors_.size());
+  // Too late for an answer, but somebody may ask for it.
+  exposure.answered = last_answered_ && stamp <= *last_answered_;
+  if (exposures_.size() > capacity_)
+  {
+    const auto oldest = entry == exposures_.begin() ? std::next(entry) : exposures_.begin();
+    if (!oldest->second.answered)
+    {
+      displaced_.push_back(
+          handOut(oldest, "it gave way, as more than " + std::to_string(capacity_) + " exposures were kept"));
+    }
+    exposures_.erase(oldest);
+  }
+  return exposure;
+}
+
+void ExposureStore::addImage(std::size_t detector, const sensor_msgs::ImageConstPtr& image)
+{
+  const ros::Time& stamp = image->header.stamp;
+  if (stamp < last_images_[detector] && last_images_[detector] - stamp > kBackwardJump)
+  {
+    exposures_.clear();
+    displaced_.clear();
+    last_answered_.reset();
+    last_images_.assign(detectors_.size(), ros::Time());
+    restarted_ = true;
+  }
+  last_images_[detector] = stamp;
+  at(stamp).images[detector] = image;
+}
+
+void ExposureStore::addCameraInfo(std::size_t detector, const sensor_msgs::CameraInfoConstPtr& camera_info)
+{
+  at(camera_info->header.stamp).camera_infos[detector] = camera_info;
+}
+
+void ExposureStore::addMotion(const xray_tracking_msgs::PatientMotionConstPtr& motion)
+{
+  at(motion->header.stamp).motion = motion;
+}
+
+void ExposureStore::addPose(const geometry_msgs::PoseWithCovarianceStampedConstPtr& pose)
+{
+  at(pose->header.stamp).pose = pose;
+}
+
+std::string ExposureStore::missingView(const StoredExposure& exposure) const
+{
+  for (std::size_t i = 0; i < detectors_.size(); ++i)
+  {
+    if (!exposure.images[i])
+    {
+      return detectors_[i] + "/image_raw has not arrived";
+    }
+    if (!exposure.camera_infos[i])
+    {
+      return detectors_[i] + "/camera_info has not arrived";
+    }
+  }
+  return "";
+}
+
+std::string ExposureStore::missing(const StoredExposure& exposure) const
+{
+  std::string text = missingView(exposure);
+  if (text.empty() && with_seed_)
+  {
+    if (!exposure.motion)
+    {
+      text = "patient_motion has not arrived";
+    }
+    else if (exposure.motion->state == xray_tracking_msgs::PatientMotion::OK && !exposure.pose)
+    {
+      text = "patient_pose has not arrived";
+    }
+  }
+  return text;
+}
+
+ExposureStore::Due ExposureStore::handOut(Exposures::iterator entry, const std::string& missing)
+{
+  entry->second.answered = true;
+  last_answered_ = last_answered_ ? std::max(*last_answered_, entry->first) : entry->first;
+  return { entry->first, entry->second, missing, std::exchange(restarted_, false) };
+}
+
+std::optional<ExposureStore::Due> ExposureStore::next()
+{
+  if (!displaced_.empty())
+  {
+    Due due = std::move(displaced_.front());
+    displaced_.erase(displaced_.begin());
+    return due;
+  }
+  auto oldest = exposures_.end();
+  for (auto entry = exposures_.begin(); entry != exposures_.end(); ++entry)
+  {
+    if (entry->second.answered)
+    {
+      continue;
+    }
+    oldest = oldest == exposures_.end() ? entry : oldest;
+    if (missing(entry->second).empty())
+    {
+      return handOut(oldest, missing(oldest->second));
+    }
+  }
+  return std::nullopt;
+}
+
+const StoredExposure* ExposureStore::find(const ros::Time& stamp) const
+{
+  if (!stamp.isZero())
+  {
+    const auto entry = exposures_.find(stamp);
+    return entry == exposures_.end() ? nullptr : &entry->second;
+  }
+  const auto latest = std::find_if(exposures_.rbegin(), exposures_.rend(),
+                                   [this](const auto& entry) { return missingView(entry.second).empty(); });
+  return latest == exposures_.rend() ? nullptr : &latest->second;
+}
+
+std::size_t ExposureStore::waiting() const
+{
+  return displaced_.size() + static_cast<std::size_t>(std::count_if(exposures_.begin(), exposures_.end(),
+                                                                    [](const auto& e) { return !e.second.answered; }));
+}
+}  // namespace xray_tracking

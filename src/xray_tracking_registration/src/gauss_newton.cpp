@@ -1,0 +1,149 @@
+#include "gauss_newton.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include <tbb/parallel_for.h>
+#include <Eigen/Cholesky>
+
+namespace xray_tracking
+{
+namespace
+{
+constexpr double kHuber = 2.5;              // in standard deviations
+constexpr double kSmallTranslation = 0.01;  // a step that ends the iterations [mm]
+constexpr double kSmallRotation = 0.01 * M_PI / 180.0;
+constexpr int kMaxRejections = 2;
+
+/// Huber's weights for a standard deviation that follows from the median.
+Eigen::VectorXf huberWeights(const Eigen::VectorXf& residual)
+{
+  std::vector<float> sizes(residual.size());
+  Eigen::VectorXf::Map(sizes.data(), residual.size()) = residual.cwiseAbs();
+  std::nth_element(sizes.begin(), sizes.begin() + sizes.size() / 2, sizes.end());
+  const auto limit = static_cast<float>(kHuber * 1.4826 * sizes[sizes.size() / 2]);
+  return residual.unaryExpr([limit](float r) { return std::abs(r) > limit ? limit / std::abs(r) : 1.0f; });
+}
+
+bool isSmall(const Eigen::VectorXd& step)
+{
+  for (int body = 0; body < step.size(); body += 6)
+  {
+    if (step.segment<3>(body).norm() > kSmallRotation || step.segment<3>(body + 3).norm() > kSmallTranslation)
+    {
+      return false;
+    }
+  }
+  return true;
+}
+}  // namespace
+
+double Linearisation::meanSimilarity() const
+{
+  double sum = 0.0;
+  for (const double s : similarity)
+  {
+    sum += s;
+  }
+  return sum / static_cast<double>(similarity.size());
+}
+
+double Linearisation::cost(const std::vector<ViewLevel>& views, const std::vector<Eigen::VectorXf>& by) const
+{
+  double sum = 0.0;
+  for (std::size_t v = 0; v < views.size(); ++v)
+  {
+    sum += (views[v].measured() - models[v].image).cwiseAbs2().dot(by[v]);
+  }
+  return sum;
+}
+
+Linearisation linearise(const std::vector<ViewLevel>& views, const Bodies& bodies, const PosePair& poses, Moving moving)
+{
+  Linearisation at{ std::vector<ViewModel>(views.size()), std::vector<Eigen::VectorXf>(views.size()),
+                    std::vector<double>(views.size()) };
+  tbb::parallel_for(std::size_t{ 0 }, views.size(),
+                    [&](std::size_t v)
+                    {
+                      views[v].model(bodies, poses, moving, at.models[v]);
+                      at.weights[v] = huberWeights(views[v].measured() - at.models[v].image);
+                      at.similarity[v] = views[v].measured().dot(at.models[v].image);
+                    });
+  return at;
+}
+
+NormalEquations normalEquations(const std::vector<ViewLevel>& views, const Linearisation& at)
+{
+  const auto unknowns = at.models.front().derivatives.cols();
+  NormalEquations equations{ Eigen::MatrixXd::Zero(unknowns, unknowns), Eigen::VectorXd::Zero(unknowns) };
+  for (std::size_t v = 0; v < views.size(); ++v)
+  {
+    const Eigen::MatrixXf& derivatives = at.models[v].derivatives;
+    const Eigen::MatrixXf weighted = at.weights[v].asDiagonal() * derivatives;
+    equations.information += (derivatives.transpose() * weighted).cast<double>();
+    equations.gradient += (weighted.transpose() * (views[v].measured() - at.models[v].image)).cast<double>();
+  }
+  return equations;
+}
+
+PosePair moved(const PosePair& poses, const Eigen::VectorXd& step, const Eigen::Vector3d& centre, Moving moving)
+{
+  const Eigen::Vector3d room_centre = poses.target * centre;
+  PosePair result = poses;
+  result.target = motionAbout(room_centre, step.head<6>()) * poses.target;
+  if (moving != Moving::TARGET)
+  {
+    result.rest = motionAbout(room_centre, step.tail<6>()) * poses.rest;
+  }
+  return result;
+}
+
+Linearisation gaussNewton(const std::vector<ViewLevel>& views, const Bodies& bodies, Moving moving,
+                          const Descent& descent, RunControl& control, PosePair& poses)
+{
+  Linearisation best = linearise(views, bodies, poses, moving);
+  double damping = 1e-3;
+  for (int iteration = 0; iteration < descent.max_iterations; ++iteration)
+  {
+    const NormalEquations equations = normalEquations(views, best);
+    const double cost = best.cost(views, best.weights);
+    bool improved = false;
+    bool small = false;
+    for (int rejections = 0; !improved && !small && rejections <= kMaxRejections; ++rejections)
+    {
+      Eigen::MatrixXd damped = equations.information;
+      damped.diagonal() *= 1.0 + damping;
+      const Eigen::VectorXd step = damped.ldlt().solve(equations.gradient);
+      if (!step.allFinite())
+      {
+        return best;
+      }
+      small = isSmall(step);  // the last step, whether it helps or not
+      const PosePair trial = moved(poses, step, bodies.centre, moving);
+      if (control.inBounds(trial.target))
+      {
+        if (!control.mayRender(poses.target, best.meanSimilarity()))
+        {
+          return best;
+        }
+        Linearisation there = linearise(views, bodies, trial, moving);
+        const double new_cost = there.cost(views, best.weights);
+        improved = new_cost < cost;
+        small = small || (improved && cost - new_cost < descent.min_gain * cost);
+        if (improved)
+        {
+          best = std::move(there);
+          poses = trial;
+        }
+      }
+      damping = improved ? std::max(damping / 5.0, 1e-6) : damping * 10.0;
+    }
+    ++control.iterations;
+    if (!improved || small)
+    {
+      break;
+    }
+  }
+  return best;
+}
+}  // namespace xray_tracking

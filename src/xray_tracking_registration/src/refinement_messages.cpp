@@ -1,0 +1,159 @@
+#include "xray_tracking_registration/refinement_messages.h"
+
+#include <cmath>
+#include <stdexcept>
+
+#include <cv_bridge/cv_bridge.h>
+#include <sensor_msgs/image_encodings.h>
+#include <boost/make_shared.hpp>
+
+#include "xray_tracking_conversions/conversions.h"
+#include "xray_tracking_core/option_check.h"
+
+namespace xray_tracking
+{
+namespace
+{
+namespace encodings = sensor_msgs::image_encodings;
+using xray_tracking_msgs::RefinementRequest;
+using xray_tracking_msgs::RefinementResult;
+
+/// Where a figure is not known, as NaN must not leave the node.
+double finiteOrZero(double value)
+{
+  return std::isfinite(value) ? value : 0.0;
+}
+
+/// Covariance of (translation of the patient frame's origin, rotation), of that of the twist about the target.
+Eigen::Matrix<double, 6, 6> poseCovariance(const RegistrationResult& result, const Eigen::Vector3d& target_centre)
+{
+  if (!result.covariance.allFinite())
+  {
+    return Eigen::Matrix<double, 6, 6>::Zero();
+  }
+  Eigen::Matrix<double, 6, 6> pose_from_twist = Eigen::Matrix<double, 6, 6>::Zero();
+  // The origin moves by translation + rotation x lever.
+  const Eigen::Vector3d lever = -(result.room_from_patient.linear() * target_centre);
+  pose_from_twist.topLeftCorner<3, 3>() = -skew(lever);
+  pose_from_twist.topRightCorner<3, 3>().setIdentity();
+  pose_from_twist.bottomLeftCorner<3, 3>().setIdentity();
+  return pose_from_twist * result.covariance * pose_from_twist.transpose();
+}
+
+void readBound(const char* key, double value, double millimetres_per_unit, double& bound)
+{
+  requireOption(value >= 0.0 && std::isfinite(value), key, value, "0 (the node's own) or more");
+  if (value > 0.0)
+  {
+    bound = value * millimetres_per_unit;
+  }
+}
+}  // namespace
+
+std::vector<RegistrationView> viewsOf(const StoredExposure& exposure, const TreatmentSetup& setup,
+                                      const tf2_ros::Buffer& tf_buffer)
+{
+  std::vector<RegistrationView> views;
+  for (std::size_t i = 0; i < setup.detectors.size(); ++i)
+  {
+    const std::string& name = setup.detectors[i].name();
+    const sensor_msgs::ImageConstPtr& image = exposure.images[i];
+    const sensor_msgs::CameraInfo& info = *exposure.camera_infos[i];
+    if (image->encoding != encodings::MONO16 && image->encoding != encodings::MONO8)
+    {
+      throw std::invalid_argument(name + ": image.encoding is '" + image->encoding + "', expected mono16 or mono8");
+    }
+    if (image->width != info.width || image->height != info.height)
+    {
+      throw std::invalid_argument(name + ": the image is " + std::to_string(image->width) + " x " +
+                                  std::to_string(image->height) + ", expected camera_info's " +
+                                  std::to_string(info.width) + " x " + std::to_string(info.height));
+    }
+    const RigidTransform room_from_optical =
+        rigidFromTransformMsg(tf_buffer.lookupTransform(kRoomFrame, info.header.frame_id, ros::Time(0)).transform);
+    views.push_back({ geometryFromCameraInfo(name, info, room_from_optical, setup.detectors[i].sourceToDetector()),
+                      // Copied where rows are padded or bytes swapped; the cv::Mat does not keep the message alive.
+                      cv_bridge::toCvShare(image)->image });
+  }
+  return views;
+}
+
+void applyRequest(const RefinementRequest& message, RegistrationRequest& request)
+{
+  try
+  {
+    request.room_from_patient = rigidFromPoseMsg(message.seed);
+  }
+  catch (const std::invalid_argument& error)
+  {
+    throw std::invalid_argument(std::string("seed: ") + error.what());
+  }
+  readBound("max_translation", message.max_translation, kMillimetresPerMetre, request.max_translation_mm);
+  readBound("max_rotation", message.max_rotation, 1.0, request.max_rotation_rad);
+  requireOption(request.max_rotation_rad <= M_PI, "max_rotation", request.max_rotation_rad, "at most pi rad");
+  double budget = request.time_budget.count();
+  readBound("time_budget", message.time_budget, 1.0, budget);
+  request.time_budget = std::chrono::duration<double>(budget);
+  if (message.regions.empty())
+  {
+    return;
+  }
+  requireOption(message.regions.size() == request.views.size(), "the number of regions", message.regions.size(),
+                "none, or one for each of the " + std::to_string(request.views.size()) + " detectors");
+  for (std::size_t i = 0; i < request.views.size(); ++i)
+  {
+    request.views[i].region = rectFromRegionMsg(message.regions[i]);
+  }
+}
+
+StoredExposure exposureOf(const RefinementRequest& message, const TreatmentSetup& setup)
+{
+  const std::string expected = "one for each of the " + std::to_string(setup.detectors.size()) + " detectors";
+  requireOption(message.images.size() == setup.detectors.size(), "the number of images", message.images.size(),
+                expected);
+  requireOption(message.camera_infos.size() == setup.detectors.size(), "the number of camera_infos",
+                message.camera_infos.size(), expected);
+  StoredExposure exposure;
+  for (std::size_t i = 0; i < message.images.size(); ++i)
+  {
+    exposure.images.push_back(boost::make_shared<sensor_msgs::Image>(message.images[i]));
+    exposure.camera_infos.push_back(boost::make_shared<sensor_msgs::CameraInfo>(message.camera_infos[i]));
+  }
+  return exposure;
+}
+
+RefinementResult resultMessage(const RegistrationResult& result, const Eigen::Vector3d& target_centre)
+{
+  static_assert(static_cast<int>(RegistrationStatus::SUCCESS) == RefinementResult::SUCCESS &&
+                    static_cast<int>(RegistrationStatus::UNRELIABLE) == RefinementResult::UNRELIABLE &&
+                    static_cast<int>(RegistrationStatus::TIMED_OUT) == RefinementResult::TIMED_OUT &&
+                    static_cast<int>(RegistrationStatus::CANCELLED) == RefinementResult::CANCELLED &&
+                    static_cast<int>(RegistrationStatus::INVALID) == RefinementResult::INVALID,
+                "the library's states begin the message's");
+  RefinementResult message = resultMessage(static_cast<std::uint8_t>(result.status), result.reason);
+  message.pose = poseWithCovarianceMsg(result.room_from_patient, poseCovariance(result, target_centre));
+  message.similarity_before = finiteOrZero(result.similarity_before);
+  message.similarity_after = finiteOrZero(result.similarity_after);
+  message.iterations = static_cast<std::uint32_t>(result.iterations);
+  for (const ViewResidual& view : result.views)
+  {
+    xray_tracking_msgs::ViewResidual residual;
+    residual.similarity = finiteOrZero(view.similarity);
+    residual.coarse_similarity = finiteOrZero(view.coarse_similarity);
+    residual.noise = finiteOrZero(view.noise);
+    residual.pull = finiteOrZero(view.pull_mm) / kMillimetresPerMetre;
+    message.views.push_back(residual);
+  }
+  message.time = ros::Duration(result.duration.count());
+  return message;
+}
+
+RefinementResult resultMessage(std::uint8_t status, const std::string& reason)
+{
+  RefinementResult message;
+  message.status = status;
+  message.reason = reason;
+  message.pose.pose.orientation.w = 1.0;
+  return message;
+}
+}  // namespace xray_tracking

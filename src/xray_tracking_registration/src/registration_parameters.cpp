@@ -1,0 +1,126 @@
+#include "xray_tracking_registration/registration_parameters.h"
+
+#include <cmath>
+#include <stdexcept>
+#include <utility>
+#include <vector>
+
+#include "xray_tracking_conversions/conversions.h"
+#include "xray_tracking_conversions/parameters.h"
+#include "xray_tracking_core/option_check.h"
+
+namespace xray_tracking
+{
+namespace
+{
+template <typename T>
+using Names = std::vector<std::pair<std::string, T>>;
+
+const Names<RefinementMethod> kMethods = { { "tracking", RefinementMethod::TRACKING },
+                                           { "registration", RefinementMethod::REGISTRATION },
+                                           { "tracking_and_registration",
+                                             RefinementMethod::TRACKING_AND_REGISTRATION } };
+const Names<RestMotion> kRestMotions = { { "estimated", RestMotion::ESTIMATED }, { "held", RestMotion::HELD } };
+const Names<Optimiser> kOptimisers = { { "gauss_newton", Optimiser::GAUSS_NEWTON },
+                                       { "bobyqa", Optimiser::BOBYQA },
+                                       { "nelder_mead", Optimiser::NELDER_MEAD } };
+
+template <typename T>
+std::string nameOf(const Names<T>& names, T value)
+{
+  for (const auto& [name, named] : names)
+  {
+    if (named == value)
+    {
+      return name;
+    }
+  }
+  throw std::logic_error("a value without a name");
+}
+
+template <typename T>
+void read(ParameterReader& reader, const std::string& key, T& value)
+{
+  value = reader.read(key, value);
+}
+
+template <typename T>
+void readNamed(ParameterReader& reader, const std::string& key, const Names<T>& names, T& value)
+{
+  const std::string text = reader.read(key, nameOf(names, value));
+  std::string known;
+  for (const auto& [name, named] : names)
+  {
+    if (name == text)
+    {
+      value = named;
+      return;
+    }
+    known += (known.empty() ? "" : ", ") + name;
+  }
+  requireOption(false, key, text, "one of " + known);
+}
+
+void requireOneOf(const std::string& key, const std::string& value, const std::string& first, const std::string& second)
+{
+  requireOption(value == first || value == second, key, value, first + " or " + second);
+}
+
+/// A length parameter in m that the library wants in mm.
+void readMetres(ParameterReader& reader, const std::string& key, double& millimetres)
+{
+  millimetres = reader.read(key, millimetres / kMillimetresPerMetre) * kMillimetresPerMetre;
+}
+}  // namespace
+
+std::string methodName(RefinementMethod method)
+{
+  return nameOf(kMethods, method);
+}
+
+RegistrationParameters readRegistrationParameters(const ros::NodeHandle& pnh)
+{
+  RegistrationParameters parameters;
+  ParameterReader reader(pnh);
+  readNamed(reader, "method", kMethods, parameters.method);
+  read(reader, "setup_file", parameters.setup_file);
+  read(reader, "source", parameters.source);
+  requireOneOf("source", parameters.source, "phantom", "ct");
+  read(reader, "phantom_voxel_mm", parameters.phantom_voxel_mm);
+  requireInRange("phantom_voxel_mm", parameters.phantom_voxel_mm, 0.5, 5.0);
+  read(reader, "bodies", parameters.bodies);
+  requireOption(parameters.bodies == 1 || parameters.bodies == 2, "bodies", parameters.bodies, "1 or 2");
+  readNamed(reader, "rest", kRestMotions, parameters.options.rest);
+  read(reader, "mask/from", parameters.mask);
+  requireOneOf("mask/from", parameters.mask, "bone", "box");
+  read(reader, "mask/threshold_hu", parameters.mask_options.threshold_hu);
+  read(reader, "mask/closing_mm", parameters.mask_options.closing_mm);
+  read(reader, "mask/inner_mm", parameters.mask_options.inner_mm);
+  read(reader, "mask/outer_mm", parameters.mask_options.outer_mm);
+  parameters.mask_options.validate();
+  read(reader, "mask/file", parameters.mask_file);
+  readNamed(reader, "optimiser", kOptimisers, parameters.options.optimiser);
+  read(reader, "similarity", parameters.options.similarity);
+  read(reader, "min_similarity", parameters.options.min_similarity);
+  read(reader, "min_coarse_similarity", parameters.options.min_coarse_similarity);
+  readMetres(reader, "max_deviation", parameters.options.max_deviation_mm);
+  parameters.options.validate();
+  readMetres(reader, "max_translation", parameters.max_translation_mm);
+  requireOption(parameters.max_translation_mm > 0.0, "max_translation",
+                parameters.max_translation_mm / kMillimetresPerMetre, "more than 0 m");
+  read(reader, "max_rotation", parameters.max_rotation_rad);
+  requireOption(parameters.max_rotation_rad > 0.0 && parameters.max_rotation_rad <= M_PI, "max_rotation",
+                parameters.max_rotation_rad, "more than 0, at most pi rad");
+  read(reader, "time_budget", parameters.time_budget_s);
+  requireOption(parameters.time_budget_s > 0.0, "time_budget", parameters.time_budget_s, "more than 0 s");
+  read(reader, "queue_size", parameters.queue_size);
+  requireInRange("queue_size", parameters.queue_size, 1, 1000);
+  reader.warnOfUnread();
+  if (parameters.setup_file.empty())
+  {
+    throw std::invalid_argument("parameter " + pnh.resolveName("setup_file") +
+                                " is not set, expected the path of a setup file");
+  }
+  return parameters;
+}
+}  // namespace xray_tracking

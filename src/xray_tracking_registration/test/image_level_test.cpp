@@ -1,0 +1,152 @@
+#include "image_level.h"
+
+#include <gtest/gtest.h>
+
+#include "gauss_newton.h"
+#include "phantom_exposures.h"
+#include "xray_tracking_registration/attenuation_image.h"
+
+namespace xray_tracking
+{
+namespace
+{
+/// A smooth body: Gaussian blobs, each a centre [mm] and a weight.
+ScalarVolume blobs(const std::vector<std::pair<Eigen::Vector3d, double>>& shape)
+{
+  constexpr double kSigma = 9.0;
+  ScalarVolume volume;
+  volume.grid.size = { 100, 100, 100 };
+  volume.grid.patient_from_index = Eigen::Translation3d(-49.5, -49.5, -49.5);
+  volume.values.assign(volume.grid.voxelCount(), 0.0f);
+  for (int k = 0; k < 100; ++k)
+  {
+    for (int j = 0; j < 100; ++j)
+    {
+      for (int i = 0; i < 100; ++i)
+      {
+        const Eigen::Vector3d point = volume.grid.patient_from_index * Eigen::Vector3d(i, j, k);
+        for (const auto& [centre, weight] : shape)
+        {
+          volume.values[volume.grid.offset(i, j, k)] +=
+              static_cast<float>(weight * std::exp(-0.5 * (point - centre).squaredNorm() / (kSigma * kSigma)));
+        }
+      }
+    }
+  }
+  return volume;
+}
+}  // namespace
+
+class ImageLevelTest : public testing::TestWithParam<Moving>
+{
+};
+
+TEST_P(ImageLevelTest, DerivativesAgreeWithCentralDifferences)
+{
+  const ProjectionGeometry& geometry = PhantomExposures::instance().views()[0];
+  const Bodies bodies{ std::make_unique<BodyRenderer>(
+                           blobs({ { { 3, -4, 5 }, 0.02 }, { { -12, 9, -6 }, 0.015 }, { { 4, 14, -9 }, 0.01 } }), 1.0),
+                       std::make_unique<BodyRenderer>(blobs({ { { -14, 6, 10 }, 0.01 }, { { 12, -12, -2 }, 0.02 } }),
+                                                      1.0),
+                       Eigen::Vector3d(2.0, 3.0, -1.0) };
+  cv::Mat image(512, 512, CV_32FC1);
+  cv::randu(image, 0.0, 1.0);  // derivatives do not depend on it
+  const ViewLevel level(geometry, image, cv::Rect(170, 170, 170, 170), { 1.6, 16.0 });
+  std::mt19937 random(1);
+  const RigidTransform pose = motionAbout(Eigen::Vector3d::Zero(), randomTwist(random, 20.0, 4.0));
+  const PosePair poses{ pose, motionAbout(Eigen::Vector3d::Zero(), randomTwist(random, 1.0, 2.0)) * pose };
+  ViewModel model;
+  level.model(bodies, poses, GetParam(), model);
+  ASSERT_EQ(model.derivatives.cols(), GetParam() == Moving::BOTH ? 12 : 6);
+  EXPECT_NEAR(model.image.norm(), 1.0f, 1e-5f);
+  // A shift by 1 mm across the rays is what the image depends on most; along them it depends 40 times less.
+  const float largest = model.derivatives.rightCols<3>().colwise().norm().maxCoeff();
+  for (int unknown = 0; unknown < model.derivatives.cols(); ++unknown)
+  {
+    const double size = unknown % 6 < 3 ? 0.02 : 0.5;
+    Eigen::VectorXd step = Eigen::VectorXd::Zero(model.derivatives.cols());
+    std::array<ViewModel, 2> sides;
+    for (int side = 0; side < 2; ++side)
+    {
+      step[unknown] = side == 0 ? -size : size;
+      level.model(bodies, moved(poses, step, bodies.centre, GetParam()), GetParam(), sides[side]);
+    }
+    const Eigen::VectorXf difference = (sides[1].image - sides[0].image) / static_cast<float>(2.0 * size);
+    // 3 %: the slope of trilinear interpolation against that of what it interpolates.
+    EXPECT_LT((difference - model.derivatives.col(unknown)).norm(), 0.03f * std::max(difference.norm(), 0.1f * largest))
+        << "unknown " << unknown << " of norm " << difference.norm();
+  }
+}
+
+INSTANTIATE_TEST_SUITE_P(All, ImageLevelTest, testing::Values(Moving::TARGET, Moving::TOGETHER, Moving::BOTH));
+
+TEST(ImageLevel, ModelOfTheTruePoseIsLikeTheImage)
+{
+  const PhantomExposures& phantom = PhantomExposures::instance();
+  std::mt19937 random(2);
+  const RigidTransform& pose = phantom.roomFromPatient();
+  const RegistrationRequest request = phantom.expose(pose, pose, random);
+  cv::Mat attenuation;
+  attenuationImage(request.views[1].image, request.intensity, attenuation);
+  const ViewLevel level(request.views[1].geometry, attenuation, cv::Rect(170, 170, 170, 170), { 3.2, 16.0 });
+  ViewModel model;
+  const BodyModel parts = phantom.bodies();
+  const Bodies bodies{ std::make_unique<BodyRenderer>(parts.target, 1.0),
+                       std::make_unique<BodyRenderer>(parts.rest, 1.0), phantom.centre() };
+  level.model(bodies, { pose, pose }, Moving::TARGET, model);
+  EXPECT_GT(model.image.dot(level.measured()), 0.95f);
+}
+
+TEST(ImageLevel, NamesViewOfARegionThatCannotBeCompared)
+{
+  const PhantomExposures& phantom = PhantomExposures::instance();
+  const cv::Mat constant(512, 512, CV_32FC1, cv::Scalar(1.0));
+  const auto expectView = [&](const cv::Rect& region)
+  {
+    try
+    {
+      ViewLevel(phantom.views()[0], constant, region, { 1.6, 1.6 });
+      FAIL();
+    }
+    catch (const std::invalid_argument& error)
+    {
+      EXPECT_NE(std::string(error.what()).find("detector_a"), std::string::npos) << error.what();
+    }
+  };
+  expectView({ 100, 100, 200, 200 });  // constant
+  expectView({ 600, 100, 200, 200 });
+  expectView({ 100, 100, 2, 200 });
+  expectView({ -900, -900, 100, 100 });
+}
+
+TEST(AttenuationImage, IsTheLogarithmOfTransmission)
+{
+  IntensityModel intensity;
+  intensity.offset = 100.0;
+  intensity.air_counts = 10100.0;
+  cv::Mat counts = (cv::Mat_<std::uint16_t>(1, 3) << 10100, 1100, 40);
+  cv::Mat attenuation;
+  attenuationImage(counts, intensity, attenuation);
+  EXPECT_NEAR(attenuation.at<float>(0), 0.0, 1e-6);
+  EXPECT_NEAR(attenuation.at<float>(1), std::log(10.0), 1e-6);
+  EXPECT_NEAR(attenuation.at<float>(2), std::log(10000.0), 1e-5);  // below the offset: one count
+  intensity.air_counts.reset();
+  counts.at<std::uint16_t>(0) = 5100;
+  attenuationImage(counts, intensity, attenuation);
+  EXPECT_NEAR(attenuation.at<float>(1), std::log(5.0), 1e-6);
+  intensity.kind = IntensityModel::Kind::ATTENUATION;
+  attenuationImage(counts, intensity, attenuation);
+  EXPECT_EQ(attenuation.at<float>(1), 1100.0f);
+}
+
+TEST(AttenuationImage, RefusesWhatHasNoLogarithm)
+{
+  IntensityModel intensity;
+  intensity.offset = 100.0;
+  cv::Mat out;
+  EXPECT_THROW(attenuationImage(cv::Mat(), intensity, out), std::invalid_argument);
+  EXPECT_THROW(attenuationImage(cv::Mat(4, 4, CV_8UC3), intensity, out), std::invalid_argument);
+  EXPECT_THROW(attenuationImage(cv::Mat(4, 4, CV_16UC1, cv::Scalar(90)), intensity, out), std::invalid_argument);
+  EXPECT_THROW(attenuationImage(cv::Mat(4, 4, CV_32FC1, cv::Scalar(NAN)), intensity, out), std::invalid_argument);
+}
+}  // namespace xray_tracking

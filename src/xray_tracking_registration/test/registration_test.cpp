@@ -1,0 +1,278 @@
+#include "xray_tracking_registration/registration.h"
+
+#include <algorithm>
+#include <limits>
+
+#include <gtest/gtest.h>
+
+#include "phantom_exposures.h"
+#include "xray_tracking_core/evaluation/evaluation.h"
+
+namespace xray_tracking
+{
+namespace
+{
+const PhantomExposures& phantom()
+{
+  return PhantomExposures::instance();
+}
+
+const Registration& twoBodies()
+{
+  static const Registration registration(phantom().bodies(), phantom().targetBox());
+  return registration;
+}
+
+/// How far a start and the rest are off.
+struct Offsets
+{
+  double start_mm;
+  double start_degrees;
+  double rest_mm;
+  double rest_degrees;
+};
+
+/// One exposure of a target that moved, with its truth.
+struct KnownExposure
+{
+  RegistrationRequest request;
+  RigidTransform gold;
+};
+
+KnownExposure randomExposure(const Offsets& offsets, std::mt19937& random)
+{
+  KnownExposure exposure;
+  exposure.gold = motionAbout(Eigen::Vector3d::Zero(), randomTwist(random, 2.0, 6.0)) * phantom().roomFromPatient();
+  const RigidTransform rest =
+      exposure.gold * motionAbout(phantom().centre(), randomTwist(random, offsets.rest_degrees, offsets.rest_mm));
+  exposure.request = phantom().expose(exposure.gold, rest, random);
+  exposure.request.room_from_patient =
+      motionAbout(exposure.gold * phantom().centre(), randomTwist(random, offsets.start_degrees, offsets.start_mm)) *
+      exposure.gold;
+  return exposure;
+}
+
+double error(const RegistrationResult& result, const RigidTransform& gold)
+{
+  return targetRegistrationError(result.room_from_patient, gold, phantom().targetBox());
+}
+
+/// An exposure for the tests of what else a request can hold.
+KnownExposure someExposure()
+{
+  std::mt19937 random(11);
+  return randomExposure({ 2.0, 1.0, 1.0, 0.5 }, random);
+}
+}  // namespace
+
+TEST(Registration, FindsTargetThatMovesOtherwiseThanTheRest)
+{
+  std::mt19937 random(1);
+  std::vector<double> errors;
+  std::vector<double> nees;
+  for (int n = 0; n < 20; ++n)
+  {
+    const KnownExposure exposure = randomExposure({ 2.0, 1.0, 4.0, 2.0 }, random);
+    const RegistrationResult result = twoBodies().run(exposure.request);
+    ASSERT_EQ(result.status, RegistrationStatus::SUCCESS) << result.reason;
+    EXPECT_GT(result.similarity_after, result.similarity_before);
+    errors.push_back(error(result, exposure.gold));
+    const Twist twist =
+        twistAbout(exposure.gold * phantom().centre(), result.room_from_patient * exposure.gold.inverse());
+    nees.push_back(twist.dot(result.covariance.ldlt().solve(twist)));
+  }
+  EXPECT_LE(quantile(errors, 0.5), 0.3);
+  EXPECT_LE(quantile(errors, 0.95), 0.8);
+  // A median of 5.3 is that of the chi-squared distribution of 6 degrees; within a factor of two in every direction.
+  EXPECT_GT(quantile(nees, 0.5), 5.3 / 4.0);
+  EXPECT_LT(quantile(nees, 0.5), 5.3 * 4.0);
+}
+
+TEST(Registration, ReachesFromFarOff)
+{
+  std::mt19937 random(2);
+  int near = 0;
+  for (int n = 0; n < 20; ++n)
+  {
+    const KnownExposure exposure = randomExposure({ 10.0, 5.0, 4.0, 2.0 }, random);
+    const RegistrationResult result = twoBodies().run(exposure.request);
+    near += error(result, exposure.gold) < 1.0 ? 1 : 0;
+  }
+  EXPECT_GE(near, 19);
+}
+
+TEST(Registration, ReturnsNothingFarOffAsSuccess)
+{
+  std::mt19937 random(3);
+  int lost = 0;
+  for (int n = 0; n < 10; ++n)
+  {
+    const KnownExposure exposure = randomExposure({ 25.0, 12.0, 4.0, 2.0 }, random);
+    const RegistrationResult result = twoBodies().run(exposure.request);
+    if (error(result, exposure.gold) > 1.5)
+    {
+      EXPECT_NE(result.status, RegistrationStatus::SUCCESS) << error(result, exposure.gold) << " mm off";
+      ++lost;
+    }
+  }
+  EXPECT_GT(lost, 0) << "starts too near to fail";
+}
+
+TEST(Registration, OneBodyFollowsAPatientThatMovesAsOne)
+{
+  const Registration one(oneBody(phantom().ct()), phantom().targetBox());
+  std::mt19937 random(4);
+  for (int n = 0; n < 3; ++n)
+  {
+    const KnownExposure exposure = randomExposure({ 5.0, 3.0, 0.0, 0.0 }, random);
+    const RegistrationResult result = one.run(exposure.request);
+    EXPECT_EQ(result.status, RegistrationStatus::SUCCESS) << result.reason;
+    EXPECT_LT(error(result, exposure.gold), 0.3);
+    EXPECT_TRUE(result.target_from_rest.isApprox(RigidTransform::Identity()));
+  }
+}
+
+TEST(Registration, HeldRestStaysWhereTheRequestPutsIt)
+{
+  RegistrationOptions options;
+  options.rest = RestMotion::HELD;
+  const Registration held(phantom().bodies(), phantom().targetBox(), options);
+  std::mt19937 random(5);
+  KnownExposure exposure = randomExposure({ 2.0, 1.0, 0.0, 0.0 }, random);
+  // The rest is known: where the truth has it.
+  exposure.request.target_from_rest = exposure.request.room_from_patient.inverse() * exposure.gold;
+  exposure.request.target_from_rest.linear() =
+      rotationFromVector(vectorFromRotation(exposure.request.target_from_rest.linear()));
+  const RegistrationResult result = held.run(exposure.request);
+  EXPECT_EQ(result.status, RegistrationStatus::SUCCESS) << result.reason;
+  EXPECT_LT(error(result, exposure.gold), 0.3);
+  EXPECT_TRUE((result.room_from_patient * result.target_from_rest).isApprox(exposure.gold, 1e-6));
+}
+
+class DerivativeFreeTest : public testing::TestWithParam<std::tuple<Optimiser, std::string>>
+{
+};
+
+TEST_P(DerivativeFreeTest, FindsTarget)
+{
+  RegistrationOptions options;
+  options.optimiser = std::get<0>(GetParam());
+  options.similarity = std::get<1>(GetParam());
+  const Registration registration(oneBody(phantom().ct()), phantom().targetBox(), options);
+  std::mt19937 random(6);
+  const KnownExposure exposure = randomExposure({ 2.0, 1.0, 0.0, 0.0 }, random);
+  const RegistrationResult result = registration.run(exposure.request);
+  EXPECT_LT(error(result, exposure.gold), 0.8) << result.reason;
+}
+
+INSTANTIATE_TEST_SUITE_P(All, DerivativeFreeTest,
+                         testing::Values(std::make_tuple(Optimiser::BOBYQA, "normalised_mutual_information"),
+                                         std::make_tuple(Optimiser::BOBYQA, "gradient_correlation"),
+                                         std::make_tuple(Optimiser::BOBYQA, "ncc"),
+                                         std::make_tuple(Optimiser::BOBYQA, "pattern_intensity"),
+                                         std::make_tuple(Optimiser::BOBYQA, "gradient_difference"),
+                                         std::make_tuple(Optimiser::NELDER_MEAD, "normalised_mutual_information")));
+
+TEST(Registration, ReturnsTheBestSoFarWhenTimeIsUp)
+{
+  KnownExposure exposure = someExposure();
+  // Less than any rendering takes, so the start is all there is.
+  exposure.request.time_budget = std::chrono::duration<double>(1e-6);
+  const RegistrationResult result = twoBodies().run(exposure.request);
+  EXPECT_EQ(result.status, RegistrationStatus::TIMED_OUT);
+  EXPECT_NE(result.reason.find("time budget"), std::string::npos);
+  EXPECT_TRUE(result.room_from_patient.isApprox(exposure.request.room_from_patient));
+}
+
+TEST(Registration, TellsProgressAndStopsAtOnce)
+{
+  KnownExposure exposure = someExposure();
+  std::vector<RegistrationProgress> seen;
+  exposure.request.progress = [&](const RegistrationProgress& progress)
+  {
+    seen.push_back(progress);
+    return true;
+  };
+  ASSERT_EQ(twoBodies().run(exposure.request).status, RegistrationStatus::SUCCESS);
+  ASSERT_GT(seen.size(), 3u);
+  EXPECT_EQ(seen.front().level, 0);
+  EXPECT_EQ(seen.back().level, 1);
+  EXPECT_TRUE(
+      std::is_sorted(seen.begin(), seen.end(), [](const auto& a, const auto& b) { return a.iteration < b.iteration; }));
+
+  int calls = 0;
+  exposure.request.progress = [&](const RegistrationProgress&) { return ++calls < 3; };
+  const RegistrationResult cancelled = twoBodies().run(exposure.request);
+  EXPECT_EQ(cancelled.status, RegistrationStatus::CANCELLED);
+  EXPECT_EQ(calls, 3);
+  RegistrationResult start;
+  start.room_from_patient = exposure.request.room_from_patient;
+  EXPECT_LT(error(cancelled, exposure.gold), error(start, exposure.gold));
+}
+
+TEST(Registration, StaysWithinBounds)
+{
+  KnownExposure exposure = someExposure();
+  exposure.request.max_translation_mm = 0.5;
+  const RegistrationResult result = twoBodies().run(exposure.request);
+  const Eigen::Vector3d centre = phantom().centre();
+  EXPECT_LE((result.room_from_patient * centre - exposure.request.room_from_patient * centre).norm(), 0.5 + 1e-9);
+}
+
+TEST(Registration, BadRequestsAreAnsweredAndTheNextOneWorks)
+{
+  const auto expectInvalid = [](const std::function<void(RegistrationRequest&)>& spoil, const std::string& part)
+  {
+    RegistrationRequest request = someExposure().request;
+    spoil(request);
+    const RegistrationResult result = twoBodies().run(request);
+    EXPECT_EQ(result.status, RegistrationStatus::INVALID);
+    EXPECT_NE(result.reason.find(part), std::string::npos) << "'" << part << "' is missing in: " << result.reason;
+  };
+  expectInvalid([](auto& request) { request.views.clear(); }, "views");
+  expectInvalid([](auto& request) { request.views[1].image = cv::Mat(); }, "detector_b");
+  expectInvalid([](auto& request) { request.views[0].image = request.views[0].image.rowRange(0, 400); }, "512 x 400");
+  expectInvalid([](auto& request) { request.views[0].image = cv::Mat(512, 512, CV_8UC3); }, "detector_a");
+  expectInvalid([](auto& request) { request.views[1].image.setTo(7000); }, "detector_b: the image is constant");
+  expectInvalid([](auto& request)
+                { request.room_from_patient.translation().x() = std::numeric_limits<double>::quiet_NaN(); },
+                "start pose");
+  expectInvalid([](auto& request) { request.room_from_patient.translation().x() += 400.0; }, "detector_a");
+  expectInvalid([](auto& request) { request.room_from_patient.translation().z() += 9000.0; }, "detector_a");
+  expectInvalid([](auto& request) { request.views[0].region = { 500, 500, 300, 300 }; }, "detector_a");
+  expectInvalid([](auto& request) { request.max_translation_mm = 0.0; }, "bounds");
+  expectInvalid([](auto& request) { request.time_budget = std::chrono::duration<double>(-1.0); }, "time budget");
+
+  const KnownExposure exposure = someExposure();
+  EXPECT_LT(error(twoBodies().run(exposure.request), exposure.gold), 0.5);
+}
+
+TEST(Registration, OneViewAloneIsUncertainAlongItsRays)
+{
+  KnownExposure exposure = someExposure();
+  exposure.request.views.pop_back();
+  const RegistrationResult result = twoBodies().run(exposure.request);
+  ASSERT_EQ(result.views.size(), 1u);
+  if (result.status == RegistrationStatus::SUCCESS)
+  {
+    EXPECT_LT(error(result, exposure.gold), 1.5);
+  }
+  const Eigen::Vector3d ray = phantom().views()[0].roomFromOptical().linear().col(2);
+  const Eigen::Matrix3d covariance = result.covariance.bottomRightCorner<3, 3>();
+  EXPECT_GT(ray.dot(covariance * ray), 0.5 * covariance.trace());
+}
+
+TEST(Registration, NamesWhatIsWrongWithOptions)
+{
+  RegistrationOptions options;
+  options.max_deviation_mm = -1.0;
+  EXPECT_THROW(Registration(phantom().bodies(), phantom().targetBox(), options), std::invalid_argument);
+  EXPECT_THROW(Registration(BodyModel(), phantom().targetBox()), std::invalid_argument);
+  EXPECT_THROW(Registration(phantom().bodies(), Eigen::AlignedBox3d()), std::invalid_argument);
+}
+
+TEST(Registration, CopiesOfTheVolumeStaySmall)
+{
+  EXPECT_LE(twoBodies().memory(), phantom().ct().hu.size() * sizeof(std::int16_t));
+}
+}  // namespace xray_tracking

@@ -1,0 +1,344 @@
+#include <sys/resource.h>
+#include <iostream>
+#include <limits>
+#include <random>
+#include <stdexcept>
+
+#include <boost/math/constants/constants.hpp>
+
+#include "xray_tracking_core/evaluation/evaluation.h"
+#include "xray_tracking_core/volume/neck_phantom.h"
+#include "xray_tracking_detector_simulator/anatomy.h"
+#include "xray_tracking_detector_simulator/image_formation.h"
+#include "xray_tracking_registration/registration.h"
+#include "xray_tracking_tools/command_line.h"
+#include "xray_tracking_tools/exposure_set.h"
+#include "xray_tracking_tools/figure_table.h"
+
+namespace po = boost::program_options;
+
+namespace xray_tracking
+{
+namespace
+{
+constexpr double kDegree = boost::math::constants::degree<double>();
+/// van de Kraats et al., IEEE TMI 24(9), 2005: a registration below this error [mm] has succeeded.
+constexpr double kSuccess = 2.0;
+/// What a result that claims success must not exceed [mm].
+constexpr double kFalseSuccess = 1.5;
+constexpr double kBandWidth = 2.0;  ///< of the starts' distances [mm]
+
+Eigen::Vector3d randomDirection(std::mt19937& random)
+{
+  std::normal_distribution<double> normal;
+  Eigen::Vector3d direction;
+  for (double& component : direction)
+  {
+    component = normal(random);
+  }
+  return direction.normalized();
+}
+
+/// A motion about the target's centre.
+Twist randomTwist(std::mt19937& random, double angle, double translation)
+{
+  Twist twist;
+  twist << angle * randomDirection(random), translation * randomDirection(random);
+  return twist;
+}
+
+/// What is registered, and where it really is.
+struct Subject
+{
+  std::string name;
+  CtVolume ct;
+  ExposureSet exposures;
+
+  const Eigen::AlignedBox3d& box() const { return exposures.setup.target_box; }
+  RigidTransform moved(const Twist& twist, const RigidTransform& pose) const
+  {
+    return motionAbout(pose * box().center(), twist) * pose;
+  }
+};
+
+Subject sequenceSubject(const std::string& path)
+{
+  Subject subject;
+  subject.name = path;
+  subject.exposures = loadExposureSet(path);
+  const TreatmentSetup& setup = subject.exposures.setup;
+  if (setup.ct_path.empty() || subject.exposures.room_from_patient.empty())
+  {
+    throw std::invalid_argument(path + ": expected a sequence with a CT and a gold standard");
+  }
+  subject.ct = readCtVolume(setup.ct_path);
+  return subject;
+}
+
+/// Closed-form X-rays of the phantom with the simulator's physics, of a CT of it: the target anywhere up to 12 mm and 4
+/// degrees, the rest of the body 4 mm and 2 degrees otherwise.
+Subject phantomSubject(int count)
+{
+  constexpr double kRestTranslation = 4.0;
+  constexpr double kRestAngle = 2.0 * kDegree;
+  Subject subject;
+  subject.name = "phantom";
+  subject.ct = NeckPhantom().sampleCt(PhantomCtOptions());
+  ExposureSet& exposures = subject.exposures;
+  exposures.setup = loadTreatmentSetup(coreConfigPath("phantom_neck.yaml"));
+  const PhantomAnatomy anatomy;
+  ImageFormation formation(ImageFormationOptions(), exposures.setup.intensity, 1);
+  std::mt19937 random(1);
+  std::uniform_real_distribution<double> share;
+  Progress progress("exposure");
+  for (int n = 0; n < count; ++n)
+  {
+    const double angle = 4.0 * kDegree * share(random);
+    const RigidTransform gold =
+        subject.moved(randomTwist(random, angle, 12.0 * share(random)), exposures.setup.room_from_patient);
+    const RigidTransform rest = subject.moved(randomTwist(random, kRestAngle, kRestTranslation), gold);
+    std::vector<cv::Mat> images;
+    for (std::size_t d = 0; d < exposures.setup.detectors.size(); ++d)
+    {
+      cv::Mat soft, bone, counts;
+      anatomy.materials(exposures.setup.detectors[d], { gold, rest }, soft, bone);
+      formation.form(soft, bone, static_cast<int>(d), n, counts);
+      images.push_back(counts);
+    }
+    exposures.images.push_back(images);
+    exposures.room_from_patient.push_back(gold);
+    progress(n + 1, count);
+  }
+  return subject;
+}
+
+/// One registration.
+struct Outcome
+{
+  double start_error;
+  double error;
+  bool believed;
+  double wall_ms;
+  double cpu_ms;
+};
+
+double cpuMilliseconds()
+{
+  rusage usage;
+  getrusage(RUSAGE_SELF, &usage);
+  return 1e3 * (usage.ru_utime.tv_sec + usage.ru_stime.tv_sec) +
+         1e-3 * (usage.ru_utime.tv_usec + usage.ru_stime.tv_usec);
+}
+
+/// Registers exposures in turn, each from a start that is off by a twist of its own.
+std::vector<Outcome> registerAll(const Subject& subject, const Registration& registration,
+                                 const std::vector<Twist>& starts, const std::string& what)
+{
+  std::vector<Outcome> outcomes;
+  Progress progress(what);
+  for (std::size_t n = 0; n < starts.size(); ++n)
+  {
+    const std::size_t index = n % subject.exposures.images.size();
+    const RigidTransform& gold = subject.exposures.room_from_patient[index];
+    RegistrationRequest request;
+    for (std::size_t d = 0; d < subject.exposures.setup.detectors.size(); ++d)
+    {
+      request.views.push_back({ subject.exposures.setup.detectors[d], subject.exposures.images[index][d] });
+    }
+    request.intensity = subject.exposures.setup.intensity;
+    request.room_from_patient = subject.moved(starts[n], gold);
+    const double cpu = cpuMilliseconds();
+    const RegistrationResult result = registration.run(request);
+    if (result.status == RegistrationStatus::INVALID)
+    {
+      throw std::runtime_error("exposure " + std::to_string(index) + ": " + result.reason);
+    }
+    outcomes.push_back({ targetRegistrationError(request.room_from_patient, gold, subject.box()),
+                         targetRegistrationError(result.room_from_patient, gold, subject.box()),
+                         result.status == RegistrationStatus::SUCCESS, 1e3 * result.duration.count(),
+                         cpuMilliseconds() - cpu });
+    progress(n + 1, starts.size());
+  }
+  return outcomes;
+}
+
+void addFigures(FigureTable& table, const std::vector<Outcome>& outcomes)
+{
+  std::vector<double> errors, successes, wall, cpu;
+  int within = 0, believed = 0, falsely = 0;
+  for (const Outcome& outcome : outcomes)
+  {
+    errors.push_back(outcome.error);
+    wall.push_back(outcome.wall_ms);
+    cpu.push_back(outcome.cpu_ms);
+    within += outcome.error < 1.0;
+    believed += outcome.believed;
+    falsely += outcome.believed && outcome.error > kFalseSuccess;
+    if (outcome.error < kSuccess)
+    {
+      successes.push_back(outcome.error);
+    }
+  }
+  const double count = static_cast<double>(outcomes.size());
+  table.add("starts", count, 0);
+  table.add("success %", 100.0 * successes.size() / count, 1);
+  table.add("mean TRE of successes",
+            successes.empty() ? std::numeric_limits<double>::quiet_NaN() : cv::mean(successes)[0]);
+  table.add("TRE median", quantile(errors, 0.5));
+  table.add("p95", quantile(errors, 0.95));
+  table.add("max", quantile(errors, 1.0));
+  table.add("< 1 mm %", 100.0 * within / count, 1);
+  table.add("believed %", 100.0 * believed / count, 1);
+  table.add("believed > 1.5 mm", falsely, 0);
+  table.add("wall ms", quantile(wall, 0.5), 1);
+  table.add("wall p95", quantile(wall, 0.95), 1);
+  table.add("CPU ms", quantile(cpu, 0.5), 1);
+  table.add("CPU p95", quantile(cpu, 0.95), 1);
+}
+
+/// Starts whose root mean square distance over the target's box lies in [low, high], turned by 0 to `max_angle` as far
+/// as that allows. About the box's centre, rotation and translation add as squares.
+std::vector<Twist> startsOfBand(const Subject& subject, double low, double high, double max_angle, int count,
+                                std::mt19937& random)
+{
+  std::uniform_real_distribution<double> share;
+  std::vector<Twist> starts;
+  while (static_cast<int>(starts.size()) < count)
+  {
+    const double distance = low + (high - low) * share(random);
+    const double angle = max_angle * share(random);
+    Twist twist = randomTwist(random, angle, 0.0);
+    const RigidTransform identity = RigidTransform::Identity();
+    const double turned = targetRegistrationError(subject.moved(twist, identity), identity, subject.box());
+    if (turned <= distance)
+    {
+      twist.tail<3>() = std::sqrt(distance * distance - turned * turned) * randomDirection(random);
+      starts.push_back(twist);
+    }
+  }
+  return starts;
+}
+
+FigureTable measureCaptureRange(const Subject& subject, const Registration& registration, int count)
+{
+  constexpr double kMaxDistance = 16.0;
+  constexpr double kMaxAngle = 10.0 * kDegree;
+  constexpr int kBands = static_cast<int>(kMaxDistance / kBandWidth);
+  std::mt19937 random(1);
+  FigureTable table("starts of 0 to 16 mm and 0 to 10 degrees, success below 2 mm");
+  std::vector<Outcome> all;
+  double capture_range = 0.0;
+  bool captured = true;
+  for (int band = 0; band < kBands; ++band)
+  {
+    const double low = band * kBandWidth;
+    const std::string name =
+        std::to_string(static_cast<int>(low)) + " to " + std::to_string(static_cast<int>(low + kBandWidth)) + " mm";
+    const std::vector<Outcome> outcomes = registerAll(
+        subject, registration,
+        startsOfBand(subject, low, low + kBandWidth, kMaxAngle, (count + kBands - 1) / kBands, random), name);
+    table.beginRow();
+    table.add("start", name);
+    addFigures(table, outcomes);
+    const auto successes = std::count_if(outcomes.begin(), outcomes.end(),
+                                         [](const Outcome& outcome) { return outcome.error < kSuccess; });
+    captured = captured && successes >= 0.95 * static_cast<double>(outcomes.size());
+    capture_range = captured ? low + kBandWidth : capture_range;
+    all.insert(all.end(), outcomes.begin(), outcomes.end());
+  }
+  table.beginRow();
+  table.add("start", std::string("all"));
+  addFigures(table, all);
+  table.add("capture range 95 % [mm]", capture_range, 0);
+  return table;
+}
+
+FigureTable measureRefinement(const Subject& subject, const Registration& registration, int count)
+{
+  FigureTable table("starts of one size");
+  std::mt19937 random(2);
+  for (const auto& [millimetres, degrees] : { std::pair(2, 1), std::pair(5, 3), std::pair(10, 5) })
+  {
+    std::vector<Twist> starts;
+    for (int n = 0; n < count; ++n)
+    {
+      starts.push_back(randomTwist(random, degrees * kDegree, millimetres));
+    }
+    const std::string name = std::to_string(millimetres) + " mm, " + std::to_string(degrees) + " degrees";
+    table.beginRow();
+    table.add("start", name);
+    addFigures(table, registerAll(subject, registration, starts, name));
+  }
+  return table;
+}
+
+Optimiser optimiserNamed(const std::string& name)
+{
+  if (name == "gauss_newton")
+  {
+    return Optimiser::GAUSS_NEWTON;
+  }
+  if (name == "bobyqa")
+  {
+    return Optimiser::BOBYQA;
+  }
+  if (name == "nelder_mead")
+  {
+    return Optimiser::NELDER_MEAD;
+  }
+  throw std::invalid_argument("optimiser is " + name + ", expected gauss_newton, bobyqa or nelder_mead");
+}
+
+int benchmarkRegistration(const po::variables_map& arguments)
+{
+  constexpr int kPhantomExposures = 25;
+  const int starts = arguments["starts"].as<int>();
+  const int bodies = arguments["bodies"].as<int>();
+  requireAtLeast("starts", starts, 8);
+  if (bodies != 1 && bodies != 2)
+  {
+    throw std::invalid_argument("bodies is " + std::to_string(bodies) + ", expected 1 or 2");
+  }
+  const bool phantom = arguments.count("phantom") != 0;
+  if (phantom == (arguments.count("SEQUENCE_DIR") != 0))
+  {
+    throw std::invalid_argument("expected either SEQUENCE_DIR or --phantom");
+  }
+  RegistrationOptions options;
+  options.optimiser = optimiserNamed(arguments["optimiser"].as<std::string>());
+  options.similarity = arguments["similarity"].as<std::string>();
+  Subject subject =
+      phantom ? phantomSubject(kPhantomExposures) : sequenceSubject(arguments["SEQUENCE_DIR"].as<std::string>());
+  const Registration registration(
+      bodies == 1 ? oneBody(subject.ct) : splitBodies(subject.ct, targetMaskFromBone(subject.ct, subject.box())),
+      subject.box(), options);
+  subject.ct = CtVolume();
+  std::cout << subject.name << ", " << subject.exposures.images.size() << " exposures, " << bodies
+            << (bodies == 1 ? " body" : " bodies") << "; errors in mm\n";
+  report({ measureRefinement(subject, registration, starts / 2), measureCaptureRange(subject, registration, starts) },
+         arguments.count("json") != 0 ? arguments["json"].as<std::string>() : "");
+  return 0;
+}
+}  // namespace
+}  // namespace xray_tracking
+
+int main(int argc, char** argv)
+{
+  xray_tracking::CommandLine command_line;
+  command_line.usage =
+      "SEQUENCE_DIR | --phantom [--bodies 2] [--starts 200] [--optimiser gauss_newton]\n"
+      "       [--similarity gradient_correlation] [--json FILE]";
+  command_line.description =
+      "Registers every exposure from wrong starts, as van de Kraats et al. (IEEE TMI 24(9), 2005): success by the "
+      "start's\n"
+      "distance, capture range, error and time; and from starts of 2 mm and 1 degree, 5 and 3, 10 and 5. X-rays are a\n"
+      "sequence's, or closed-form ones of the neck phantom with scatter and noise, whose rest moves otherwise.";
+  command_line.optional_arguments = { "SEQUENCE_DIR" };
+  command_line.options.add_options()("phantom", "the neck phantom instead of a sequence")(
+      "bodies", po::value<int>()->default_value(2), "1 or 2")("starts", po::value<int>()->default_value(200),
+                                                              "spread over all distances, 8 or more")(
+      "optimiser", po::value<std::string>()->default_value("gauss_newton"), "gauss_newton, bobyqa or nelder_mead")(
+      "similarity", po::value<std::string>()->default_value("gradient_correlation"),
+      "of the derivative-free optimisers")("json", po::value<std::string>(), "writes the figures to this file");
+  return xray_tracking::runCommand(argc, argv, command_line, xray_tracking::benchmarkRegistration);
+}
