@@ -18,6 +18,17 @@ using xray_tracking_msgs::TrackedRegion;
 
 /// Distance from the region's centre that stands for its size in the report of what is seen [mm].
 constexpr double kRegionExtent = 25.0;
+
+static_assert(static_cast<int>(TrackModel::TRANSLATION) == TrackedRegion::TRANSLATION);
+static_assert(static_cast<int>(TrackModel::EUCLIDEAN) == TrackedRegion::EUCLIDEAN);
+static_assert(static_cast<int>(TrackModel::SIMILARITY) == TrackedRegion::SIMILARITY);
+static_assert(static_cast<int>(TrackModel::AFFINE) == TrackedRegion::AFFINE);
+
+bool isModel(std::uint8_t model)
+{
+  return model == TrackedRegion::TRANSLATION || model == TrackedRegion::EUCLIDEAN ||
+         model == TrackedRegion::SIMILARITY || model == TrackedRegion::AFFINE;
+}
 }  // namespace
 
 std::optional<MotionEstimate> MotionEstimationRos::estimate(PatientMotion& motion)
@@ -75,7 +86,10 @@ MotionEstimationRos::Doubt MotionEstimationRos::doubtOfState(const View& view, c
   switch (region->state)
   {
     case TrackedRegion::TRACKING:
-      return Doubt();
+    case TrackedRegion::DEGRADED:
+      return isModel(region->model)
+                 ? Doubt()
+                 : Doubt{ PatientMotion::LOST, view.name + " has the unknown model " + std::to_string(region->model) };
     case TrackedRegion::UNTRAINED:
       return { PatientMotion::WAITING, view.name + " is untrained" };
     case TrackedRegion::TRAINING:
@@ -160,8 +174,11 @@ std::string MotionEstimationRos::checkGeometry()
       estimator_.emplace(parameters_.estimation, geometries, setup_.targetCentre(), shape_.get(), reference_);
       geometries_ = std::move(geometries);
       const TargetShape shape = shape_.get().about(setup_.targetCentre(), reference_.linear());
+      const auto tracking = std::find_if(views_.begin(), views_.end(),
+                                         [](const View& view) { return view.doubt.state == PatientMotion::OK; });
+      const std::uint8_t model = assembler_->exposure()[static_cast<std::size_t>(tracking - views_.begin())]->model;
       observability_ = describe(observability(geometries_, reference_ * setup_.targetCentre(), shape,
-                                              TrackModel::AFFINE, kRegionExtent));
+                                              static_cast<TrackModel>(model), kRegionExtent));
     }
   }
   catch (const std::exception& error)  // tf2's, of a geometry that is none, or of a CT
@@ -221,9 +238,10 @@ ViewMeasurement MotionEstimationRos::measure(std::size_t view) const
   Track& track = measurement.track;
   track.centre = { region.region.x_offset + (region.region.width - 1.0) / 2.0,
                    region.region.y_offset + (region.region.height - 1.0) / 2.0 };
+  track.model = static_cast<TrackModel>(region.model);
   track.displacement = { region.displacement_x, region.displacement_y };
-  track.covariance.topLeftCorner<2, 2>() =
-      Eigen::Map<const Eigen::Matrix<double, 2, 2, Eigen::RowMajor>>(region.covariance.data());
+  track.linear = Eigen::Map<const Eigen::Matrix<double, 2, 2, Eigen::RowMajor>>(region.linear.data());
+  track.covariance = Eigen::Map<const Matrix6d>(region.covariance.data()).transpose();
   if (assembler_->offset(view) != 0)
   {
     const Eigen::Vector3d target = last_pose_.value_or(reference_) * setup_.targetCentre();

@@ -250,6 +250,13 @@ void MotionEstimationRos::tellGate(const PatientMotion& motion, const std::optio
     exposure.displacement = displacement(estimate->room_from_patient);
     exposure.rotation = rotationAngle(estimate->room_from_patient * setup_.room_from_patient.inverse());
     exposure.covariance = estimate->covariance.topLeftCorner<3, 3>();
+    for (std::size_t i = 0; i < views_.size(); ++i)
+    {
+      if (views_[i].doubt.state == PatientMotion::OK && assembler_->exposure()[i]->state == TrackedRegion::DEGRADED)
+      {
+        exposure.doubt = views_[i].name + " is degraded: much of its region does not look like the template";
+      }
+    }
   }
   gate_->update(exposure);
 }

@@ -83,6 +83,9 @@ class BeamGateTest(LiveTestCase):
         def disagree(regions):
             regions[0].displacement_x += 3.0
 
+        def degrade(regions):
+            regions[0].state = TrackedRegion.DEGRADED
+
         def none(regions):
             regions[1].displacement_y = float('nan')
 
@@ -93,6 +96,7 @@ class BeamGateTest(LiveTestCase):
         for alter, reason, words in ((lose, BeamGate.NOT_MEASURED, 'detector_b has lost'),
                                      (disagree, BeamGate.INCONSISTENT, 'disagree'),
                                      (none, BeamGate.NOT_MEASURED, 'detector_b'),
+                                     (degrade, BeamGate.UNCERTAIN, 'detector_a is degraded'),
                                      (vague, BeamGate.UNCERTAIN, 'standard deviation')):
             self.expose_until_open()
             rospy.sleep(0.05)
@@ -139,8 +143,6 @@ class BeamGateTest(LiveTestCase):
         speed = np.array([3.0, -2.0, 2.5])  # mm/s
         self.expose_until_open()
         start = rospy.Time.now()
-        with graph.changed:
-            graph.predictions.clear()
         noise = np.random.RandomState(1)
 
         def disturb(regions):
@@ -153,9 +155,12 @@ class BeamGateTest(LiveTestCase):
             self.live(speed * (rospy.Time.now() - start).to_sec(), disturb)
             sent += 1
             rospy.sleep(0.03)
-        graph.wait_for(lambda: len(graph.predictions) >= sent, 'predictions')
+
+        def made_here():
+            return [p for p in graph.predictions if (p.header.stamp - start).to_sec() > LATENCY]
+        graph.wait_for(lambda: len(made_here()) >= sent, 'predictions')
         with graph.changed:
-            predictions = list(graph.predictions)
+            predictions = made_here()
             stamps = set(graph.transforms)
         self.assertEqual(len(predictions), sent)
         errors = []

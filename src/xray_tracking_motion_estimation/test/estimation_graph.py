@@ -26,6 +26,13 @@ def rotation_from_xyzw(q):
                      [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)]])
 
 
+def rotation_about(axis, angle):
+    """Rodrigues' formula; the axis is a unit vector."""
+    x, y, z = axis
+    k = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * k.dot(k)
+
+
 def xyzw_from_rotation(r):
     """The eigenvector of Bar-Itzhack's matrix: needs no case distinction."""
     k = np.array([[r[0, 0] - r[1, 1] - r[2, 2], r[1, 0] + r[0, 1], r[2, 0] + r[0, 2], r[2, 1] - r[1, 2]],
@@ -59,6 +66,16 @@ class Detector:
         ray = self.origin + on_panel[0] * self.x + on_panel[1] * self.y - self.source
         normal = target - self.source
         return self.source + ray * normal.dot(normal) / normal.dot(ray)
+
+    def warp(self, centre, target, motion):
+        """What becomes of a flat region that faces the source when its points are moved by motion(point): the
+        displacement of its centre [px] and the linear part, by central differences."""
+        def seen(pixel):
+            return self.project(motion(self.lift(pixel, target)))
+        step = 0.05  # px: rounding and third derivatives both below 1e-8
+        linear = np.column_stack([(seen(centre + step * h) - seen(centre - step * h)) / (2 * step)
+                                  for h in np.eye(2)])
+        return seen(centre) - centre, linear
 
     def frame(self):
         return self.name + '_optical_frame'
@@ -171,7 +188,10 @@ class Graph:
         message.header.frame_id = detector.frame()
         message.region = RegionOfInterest(x_offset=corner[0], y_offset=corner[1], width=width, height=height)
         message.displacement_x, message.displacement_y = displacement
-        message.covariance = [0.01, 0.002, 0.002, 0.02]
+        message.model, message.linear = TrackedRegion.TRANSLATION, [1, 0, 0, 1]
+        covariance = np.zeros((6, 6))
+        covariance[:2, :2] = [[0.01, 0.002], [0.002, 0.02]]
+        message.covariance = covariance.ravel()
         message.cpu_time = rospy.Duration(0.001)
         message.wall_time = rospy.Duration(0.002)
         return message

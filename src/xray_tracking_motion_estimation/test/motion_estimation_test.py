@@ -12,7 +12,8 @@ from tf2_msgs.msg import TFMessage
 from xray_tracking_msgs.msg import PatientMotion, TrackedRegion
 
 sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
-from estimation_graph import NANOSECONDS, TIMEOUT, TOLERANCE, EstimationTestCase, motion_at, value  # noqa: E402
+from estimation_graph import (NANOSECONDS, TIMEOUT, TOLERANCE, EstimationTestCase, motion_at,  # noqa: E402
+                              rotation_about, rotation_from_xyzw, value)
 
 
 class MotionEstimationTest(EstimationTestCase):
@@ -86,7 +87,7 @@ class MotionEstimationTest(EstimationTestCase):
         cases = [(TrackedRegion.LOST, PatientMotion.LOST, 'lost'),
                  (TrackedRegion.UNTRAINED, PatientMotion.WAITING, 'untrained'),
                  (TrackedRegion.TRAINING, PatientMotion.WAITING, 'training'),
-                 (77, PatientMotion.LOST, '77')]
+                 (77, PatientMotion.LOST, 'state 77')]
         for index, (track_state, state, word) in enumerate(cases, 1):
             regions = self.regions(index)
             regions[1].state = track_state
@@ -110,6 +111,53 @@ class MotionEstimationTest(EstimationTestCase):
         self.expose(self.regions(2), 2)
         self.expect_no_pose(1, 2)
 
+    def test_rotation(self):
+        """Euclidean tracks of a rotation about detector a's ray: what both views see of it, and what none sees."""
+        graph = self.graph
+        self.expose(self.regions(0), 0)
+        first, second = [(graph.target - d.source) / np.linalg.norm(graph.target - d.source) for d in graph.detectors]
+        angle = np.radians(2.0)
+        turn = rotation_about(first, angle)
+        shift = np.array([2.0, -1.0, 1.5])
+        regions = self.regions(1)
+        for region, detector in zip(regions, graph.detectors):
+            roi = region.region
+            centre = np.array([roi.x_offset + (roi.width - 1) / 2, roi.y_offset + (roi.height - 1) / 2])
+            displacement, linear = detector.warp(
+                centre, graph.target, lambda point: turn.dot(point - graph.target) + graph.target + shift)
+            u, _, v = np.linalg.svd(linear)
+            region.model, region.linear = TrackedRegion.EUCLIDEAN, u.dot(v).ravel()
+            region.displacement_x, region.displacement_y = displacement
+            tangent = np.array([0, 0, -u.dot(v)[1, 0], -u.dot(v)[0, 0], u.dot(v)[0, 0], -u.dot(v)[1, 0]])
+            covariance = np.reshape(region.covariance, (6, 6)) + 1e-6 * np.outer(tangent, tangent)
+            region.covariance = covariance.ravel()
+        answer = self.expose(regions, 1)
+        self.assertEqual(answer.state, PatientMotion.OK, answer.reason)
+        self.assertEqual(answer.degrees_of_freedom, 3)
+        stamp = self.stamp(1)
+        graph.wait_for(lambda: stamp in graph.poses, 'pose')
+        pose = graph.poses[stamp][0].pose
+        q = pose.pose.orientation
+        rotation = rotation_from_xyzw([q.x, q.y, q.z, q.w]).dot(rotation_from_xyzw(graph.quaternion).T)
+        # The prior of 2 degrees takes a hundredth of it at the tracks' 0.2 degrees; twice for two views 70 degrees apart.
+        error = rotation.dot(turn.T)
+        vector = np.array([error[2, 1] - error[1, 2], error[0, 2] - error[2, 0], error[1, 0] - error[0, 1]]) / 2
+        self.assertLess(np.linalg.norm(vector), 0.03 * angle)
+        np.testing.assert_allclose([answer.translation.x, answer.translation.y, answer.translation.z], shift / 1000.0,
+                                   rtol=0, atol=2e-5)
+        covariance = np.reshape(pose.covariance, (6, 6))[3:, 3:]
+        unseen = np.cross(first, second) / np.linalg.norm(np.cross(first, second))
+        self.assertAlmostEqual(np.sqrt(unseen.dot(covariance).dot(unseen)), 0.0349, places=3)
+        self.assertLess(np.sqrt(first.dot(covariance).dot(first)), 0.2 * 0.0349)
+
+    def test_model_that_is_none(self):
+        self.expose(self.regions(0), 0)
+        regions = self.regions(1)
+        regions[0].model = 5
+        answer = self.expose(regions, 1)
+        self.assertEqual(answer.state, PatientMotion.LOST)
+        self.assertIn('model 5', answer.reason)
+
     def test_numbers_that_are_none(self):
         self.expose(self.regions(0), 0)
         regions = self.regions(1)
@@ -118,7 +166,7 @@ class MotionEstimationTest(EstimationTestCase):
         self.assertEqual(answer.state, PatientMotion.LOST)
         self.assertIn('detector_b: displacement', answer.reason)
         regions = self.regions(2)
-        regions[0].covariance = [float('nan')] * 4
+        regions[0].covariance = [float('nan')] * 36
         answer = self.expose(regions, 2)
         self.assertEqual(answer.state, PatientMotion.LOST)
         self.assertIn('detector_a: covariance', answer.reason)

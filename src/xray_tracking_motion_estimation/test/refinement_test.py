@@ -14,15 +14,11 @@ from xray_tracking_msgs.msg import PatientMotion, RefinementResult
 from xray_tracking_msgs.srv import RefinePose, RefinePoseResponse
 
 sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
-from estimation_graph import TIMEOUT, LiveTestCase, rotation_from_xyzw, value, xyzw_from_rotation  # noqa: E402
+from estimation_graph import (TIMEOUT, LiveTestCase, rotation_about, rotation_from_xyzw, value,  # noqa: E402
+                              xyzw_from_rotation)
 
 # m; a correction of 1 mm is read off at other depths than the tracks were made for: 4e-4 of 10 mm of motion.
 TOLERANCE = 2e-5
-
-
-def rotation_about_z(angle):
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 class StandIn:
@@ -111,7 +107,7 @@ class RefinementTest(LiveTestCase):
         stand_in = self.stand_in
         offset_before, rotation_before = self.offset()
         accepted = self.count('refinements accepted')
-        stand_in.shift, stand_in.turn = np.array([4e-4, -2.5e-4, 1.5e-4]), rotation_about_z(0.01)
+        stand_in.shift, stand_in.turn = np.array([4e-4, -2.5e-4, 1.5e-4]), rotation_about([0, 0, 1], 0.01)
         stand_in.hold.clear()
         self.demand()
         asked = len(stand_in.requests)
