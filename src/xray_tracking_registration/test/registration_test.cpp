@@ -1,7 +1,9 @@
 #include "xray_tracking_registration/registration.h"
 
 #include <algorithm>
+#include <atomic>
 #include <limits>
+#include <thread>
 
 #include <gtest/gtest.h>
 
@@ -208,6 +210,37 @@ TEST(Registration, TellsProgressAndStopsAtOnce)
   RegistrationResult start;
   start.room_from_patient = exposure.request.room_from_patient;
   EXPECT_LT(error(cancelled, exposure.gold), error(start, exposure.gold));
+}
+
+TEST(Registration, AnswersACancelWithin50Ms)
+{
+  // Far off, so that it tries other starts too; cancelled at any time by another thread, as a node does.
+  std::mt19937 random(7);
+  KnownExposure exposure = randomExposure({ 25.0, 12.0, 4.0, 2.0 }, random);
+  std::vector<double> latencies;
+  for (int n = 0; n < 21; ++n)
+  {
+    std::atomic<bool> cancelled(false);
+    exposure.request.progress = [&](const RegistrationProgress&) { return !cancelled; };
+    std::chrono::steady_clock::time_point cancelled_at;
+    std::thread canceller(
+        [&]
+        {
+          std::this_thread::sleep_for(std::chrono::milliseconds(2 * n));
+          cancelled_at = std::chrono::steady_clock::now();
+          cancelled = true;
+        });
+    const RegistrationResult result = twoBodies().run(exposure.request);
+    const auto returned = std::chrono::steady_clock::now();
+    canceller.join();
+    if (result.status == RegistrationStatus::CANCELLED)
+    {
+      latencies.push_back(std::chrono::duration<double, std::milli>(returned - cancelled_at).count());
+    }
+  }
+  ASSERT_GT(latencies.size(), 5u) << "ended before they were cancelled";
+  // The median, as single ones may wait for a core of a busy machine.
+  EXPECT_LT(quantile(latencies, 0.5), 50.0);
 }
 
 TEST(Registration, StaysWithinBounds)

@@ -130,15 +130,15 @@ double cpuMilliseconds()
          1e-3 * (usage.ru_utime.tv_usec + usage.ru_stime.tv_usec);
 }
 
-/// Registers exposures in turn, each from a start that is off by a twist of its own.
+/// Registers exposures in turn from number `first` on, each from a start that is off by a twist of its own.
 std::vector<Outcome> registerAll(const Subject& subject, const Registration& registration,
-                                 const std::vector<Twist>& starts, const std::string& what)
+                                 const std::vector<Twist>& starts, std::size_t first, const std::string& what)
 {
   std::vector<Outcome> outcomes;
   Progress progress(what);
   for (std::size_t n = 0; n < starts.size(); ++n)
   {
-    const std::size_t index = n % subject.exposures.images.size();
+    const std::size_t index = (first + n) % subject.exposures.images.size();
     const RigidTransform& gold = subject.exposures.room_from_patient[index];
     RegistrationRequest request;
     for (std::size_t d = 0; d < subject.exposures.setup.detectors.size(); ++d)
@@ -234,9 +234,10 @@ FigureTable measureCaptureRange(const Subject& subject, const Registration& regi
     const double low = band * kBandWidth;
     const std::string name =
         std::to_string(static_cast<int>(low)) + " to " + std::to_string(static_cast<int>(low + kBandWidth)) + " mm";
-    const std::vector<Outcome> outcomes = registerAll(
-        subject, registration,
-        startsOfBand(subject, low, low + kBandWidth, kMaxAngle, (count + kBands - 1) / kBands, random), name);
+    const std::vector<Outcome> outcomes =
+        registerAll(subject, registration,
+                    startsOfBand(subject, low, low + kBandWidth, kMaxAngle, (count + kBands - 1) / kBands, random),
+                    all.size(), name);
     table.beginRow();
     table.add("start", name);
     addFigures(table, outcomes);
@@ -267,7 +268,7 @@ FigureTable measureRefinement(const Subject& subject, const Registration& regist
     const std::string name = std::to_string(millimetres) + " mm, " + std::to_string(degrees) + " degrees";
     table.beginRow();
     table.add("start", name);
-    addFigures(table, registerAll(subject, registration, starts, name));
+    addFigures(table, registerAll(subject, registration, starts, 0, name));
   }
   return table;
 }
