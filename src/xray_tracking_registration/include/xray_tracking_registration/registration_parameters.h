@@ -26,7 +26,6 @@ struct RegistrationParameters
   RefinementMethod method = RefinementMethod::TRACKING;
   std::string setup_file;
   std::string source = "phantom";  ///< or "ct"
-  double phantom_voxel_mm = 1.0;
   int bodies = 2;
   std::string mask = "bone";  ///< or "box"
   TargetMaskOptions mask_options;
