@@ -175,6 +175,36 @@ INSTANTIATE_TEST_SUITE_P(All, DerivativeFreeTest,
                                          std::make_tuple(Optimiser::BOBYQA, "gradient_difference"),
                                          std::make_tuple(Optimiser::NELDER_MEAD, "normalised_mutual_information")));
 
+TEST(Registration, AttenuationFieldGivesThePosesOfRayCasting)
+{
+  std::mt19937 random(8);
+  const KnownExposure exposure = randomExposure({ 2.0, 1.0, 0.0, 0.0 }, random);
+  std::vector<RigidTransform> poses;
+  for (const Projector projector : { Projector::RAY_CASTING, Projector::ATTENUATION_FIELD })
+  {
+    RegistrationOptions options;
+    options.optimiser = Optimiser::BOBYQA;
+    options.projector = projector;
+    const Registration registration(oneBody(phantom().ct()), phantom().targetBox(), options);
+    const RegistrationResult result = registration.run(exposure.request);
+    EXPECT_LT(error(result, exposure.gold), 0.8) << result.reason;
+    poses.push_back(result.room_from_patient);
+    const AttenuationField::Statistics statistics = registration.fieldStatistics();
+    RecordProperty("hits", std::to_string(statistics.hits));
+    RecordProperty("lookups", std::to_string(statistics.lookups));
+    if (projector == Projector::ATTENUATION_FIELD)
+    {
+      EXPECT_GT(statistics.hits, 0u);
+      EXPECT_LE(registration.memory(), std::size_t{ 300 } << 20);
+    }
+  }
+  // Both stop within BOBYQA's tolerance of optima that differ by rounding rays to half a voxel.
+  EXPECT_LT(targetRegistrationError(poses[1], poses[0], phantom().targetBox()), 0.3);
+  RegistrationOptions options;
+  options.projector = Projector::RAY_CASTING;
+  EXPECT_THROW(Registration(phantom().bodies(), phantom().targetBox(), options), std::invalid_argument);
+}
+
 TEST(Registration, ReturnsTheBestSoFarWhenTimeIsUp)
 {
   KnownExposure exposure = someExposure();

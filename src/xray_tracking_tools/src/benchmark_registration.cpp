@@ -290,6 +290,23 @@ Optimiser optimiserNamed(const std::string& name)
   throw std::invalid_argument("optimiser is " + name + ", expected gauss_newton, bobyqa or nelder_mead");
 }
 
+Projector projectorNamed(const std::string& name)
+{
+  if (name == "shear_warp")
+  {
+    return Projector::SHEAR_WARP;
+  }
+  if (name == "ray_casting")
+  {
+    return Projector::RAY_CASTING;
+  }
+  if (name == "attenuation_field")
+  {
+    return Projector::ATTENUATION_FIELD;
+  }
+  throw std::invalid_argument("projector is " + name + ", expected shear_warp, ray_casting or attenuation_field");
+}
+
 int benchmarkRegistration(const po::variables_map& arguments)
 {
   constexpr int kPhantomExposures = 25;
@@ -308,6 +325,7 @@ int benchmarkRegistration(const po::variables_map& arguments)
   RegistrationOptions options;
   options.optimiser = optimiserNamed(arguments["optimiser"].as<std::string>());
   options.similarity = arguments["similarity"].as<std::string>();
+  options.projector = projectorNamed(arguments["projector"].as<std::string>());
   Subject subject =
       phantom ? phantomSubject(kPhantomExposures) : sequenceSubject(arguments["SEQUENCE_DIR"].as<std::string>());
   const Registration registration(
@@ -316,8 +334,18 @@ int benchmarkRegistration(const po::variables_map& arguments)
   subject.ct = CtVolume();
   std::cout << subject.name << ", " << subject.exposures.images.size() << " exposures, " << bodies
             << (bodies == 1 ? " body" : " bodies") << "; errors in mm\n";
-  report({ measureRefinement(subject, registration, starts / 2), measureCaptureRange(subject, registration, starts) },
-         arguments.count("json") != 0 ? arguments["json"].as<std::string>() : "");
+  std::vector<FigureTable> tables{ measureRefinement(subject, registration, starts / 2),
+                                   measureCaptureRange(subject, registration, starts) };
+  if (options.projector == Projector::ATTENUATION_FIELD)
+  {
+    const AttenuationField::Statistics statistics = registration.fieldStatistics();
+    tables.emplace_back("attenuation field");
+    tables.back().beginRow();
+    tables.back().add("lookups", static_cast<double>(statistics.lookups), 0);
+    tables.back().add("hits %", 100.0 * static_cast<double>(statistics.hits) / statistics.lookups, 1);
+    tables.back().add("memory MB", 1e-6 * static_cast<double>(registration.memory()), 0);
+  }
+  report(tables, arguments.count("json") != 0 ? arguments["json"].as<std::string>() : "");
   return 0;
 }
 }  // namespace
@@ -328,7 +356,7 @@ int main(int argc, char** argv)
   xray_tracking::CommandLine command_line;
   command_line.usage =
       "SEQUENCE_DIR | --phantom [--bodies 2] [--starts 200] [--optimiser gauss_newton]\n"
-      "       [--similarity gradient_correlation] [--json FILE]";
+      "       [--similarity gradient_correlation] [--projector shear_warp] [--json FILE]";
   command_line.description =
       "Registers every exposure from wrong starts, as van de Kraats et al. (IEEE TMI 24(9), 2005): success by the "
       "start's\n"
@@ -340,6 +368,8 @@ int main(int argc, char** argv)
                                                               "spread over all distances, 8 or more")(
       "optimiser", po::value<std::string>()->default_value("gauss_newton"), "gauss_newton, bobyqa or nelder_mead")(
       "similarity", po::value<std::string>()->default_value("gradient_correlation"),
-      "of the derivative-free optimisers")("json", po::value<std::string>(), "writes the figures to this file");
+      "of the derivative-free optimisers")("projector", po::value<std::string>()->default_value("shear_warp"),
+                                           "shear_warp, ray_casting or attenuation_field")(
+      "json", po::value<std::string>(), "writes the figures to this file");
   return xray_tracking::runCommand(argc, argv, command_line, xray_tracking::benchmarkRegistration);
 }
