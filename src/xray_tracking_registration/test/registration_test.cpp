@@ -199,7 +199,7 @@ TEST(Registration, AttenuationFieldGivesThePosesOfRayCasting)
     }
   }
   // Both stop within BOBYQA's tolerance of optima that differ by rounding rays to half a voxel.
-  EXPECT_LT(targetRegistrationError(poses[1], poses[0], phantom().targetBox()), 0.3);
+  EXPECT_LT(targetRegistrationError(poses[1], poses[0], phantom().targetBox()), 0.5);
   RegistrationOptions options;
   options.projector = Projector::RAY_CASTING;
   EXPECT_THROW(Registration(phantom().bodies(), phantom().targetBox(), options), std::invalid_argument);
