@@ -273,15 +273,20 @@ RegistrationRos::RefinementResult RegistrationRos::refineExposure(const Exposure
   {
     RegistrationRequest request = requestFor(due.exposure, [this](const RegistrationProgress&) { return !stop_; });
     request.room_from_patient = accepted_pose_;
+    std::string remark;
     if (parameters_.method == RefinementMethod::TRACKING_AND_REGISTRATION)
     {
-      if (due.exposure.motion->state != PatientMotion::OK)
+      if (due.exposure.motion->state == PatientMotion::OK)
       {
-        return resultMessage(RefinementResult::NO_SEED, "tracking has no pose: " + due.exposure.motion->reason);
+        request.room_from_patient = rigidFromPoseMsg(due.exposure.pose->pose.pose);
       }
-      request.room_from_patient = rigidFromPoseMsg(due.exposure.pose->pose.pose);
+      else
+      {
+        remark = "; from the last accepted pose, as tracking has none: " + due.exposure.motion->reason;
+      }
     }
-    const RefinementResult result = run(*registration, request);
+    RefinementResult result = run(*registration, request);
+    result.reason += remark;
     if (result.status == RefinementResult::SUCCESS)
     {
       accepted_pose_ = rigidFromPoseMsg(result.pose.pose);

@@ -197,7 +197,7 @@ class RequestsTest(RegistrationTestCase):
         self.wait_for(lambda: goal.get_comm_state() == CommState.DONE, "the action's end")
         self.assertEqual(goal.get_terminal_state(), GoalStatus.SUCCEEDED)
         self.check_good(goal.get_result().result)
-        self.assertTrue(feedback)
+        self.wait_for(lambda: feedback, "feedback, whose connection is not the result's")
         self.assertLess(self.error_mm(feedback[0].pose, self.exposure.truth), 10.0)
         goal = client.send_goal(RefinePoseGoal(self.good(stamp=rospy.Time(55))))
         self.wait_for(lambda: goal.get_comm_state() == CommState.DONE, "the action's end")

@@ -14,7 +14,7 @@ enum class RefinementMethod
 {
   TRACKING,                  ///< none
   REGISTRATION,              ///< every one, from the last accepted pose
-  TRACKING_AND_REGISTRATION  ///< every one, from motion estimation's pose of the same exposure
+  TRACKING_AND_REGISTRATION  ///< every one, from motion estimation's pose of it, if there is one
 };
 
 /// As in the parameter `method`.
