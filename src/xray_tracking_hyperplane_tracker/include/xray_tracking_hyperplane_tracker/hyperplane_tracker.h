@@ -8,6 +8,7 @@
 #include <opencv2/core.hpp>
 
 #include "xray_tracking_core/sequence/treatment_setup.h"
+#include "xray_tracking_hyperplane_tracker/region_tracker.h"
 
 namespace xray_tracking
 {
@@ -42,26 +43,6 @@ struct HyperplaneTrackerOptions
   void validate() const;
 };
 
-/// What was found in one image.
-struct TrackResult
-{
-  enum class Status
-  {
-    TRACKED,          ///< displacement and covariance are valid
-    LOW_CORRELATION,  ///< what was found does not look like the template
-    DIVERGED,         ///< the steps of eq. (1) did not become short
-    OUT_OF_IMAGE      ///< more than a quarter of the template points lie outside the image
-  };
-
-  Status status = Status::TRACKED;
-  /// Where the region is, less where it was in the template's image [px]: what was at x is now at x + displacement.
-  Eigen::Vector2d displacement = Eigen::Vector2d::Zero();
-  /// Of the displacement [px^2], from the residual's variance and the predictor's sensitivity to white noise.
-  Eigen::Matrix2d covariance = Eigen::Matrix2d::Zero();
-  double correlation = 0.0;  ///< of the template and what was found, both without slow shading; -1..1
-  int iterations = 0;        ///< of eq. (1), all predictors
-};
-
 /// Follows a region of an X-ray image by hyperplanes (Jurie and Dhome 2002), translation only.
 ///
 /// Values: detector counts are turned into attenuation, -log(counts - offset), because what lies behind one another
@@ -84,34 +65,22 @@ struct TrackResult
 /// Finally A is scaled to answer small motions of the template by exactly these motions, on average over the range.
 ///
 /// While lost, the search goes on from the last good place. Not thread-safe; track() does not allocate.
-class HyperplaneTracker
+class HyperplaneTracker : public RegionTracker
 {
 public:
   /// @throws std::invalid_argument, see HyperplaneTrackerOptions::validate
   explicit HyperplaneTracker(const HyperplaneTrackerOptions& options, const IntensityModel& intensity = {});
-  ~HyperplaneTracker();
+  ~HyperplaneTracker() override;
   HyperplaneTracker(HyperplaneTracker&&) noexcept;
   HyperplaneTracker& operator=(HyperplaneTracker&&) noexcept;
 
-  /// Learns a new template; the displacement starts again at zero.
-  /// @param image CV_8UC1 or CV_16UC1; @param region [px], inside the image, 16 px or more in both directions
-  /// @throws std::invalid_argument saying what is wrong with the image or the region (outside the image, too small, or
-  /// without contrast: noise alone would move the estimate by more than max_predicted_sd); an earlier template stays.
-  void train(const cv::Mat& image, const cv::Rect& region);
-
-  /// Forgets the template.
-  void reset();
-
-  bool trained() const { return template_ != nullptr; }
-  /// The template's region in its image; empty if there is no template.
-  cv::Rect region() const;
-
-  /// Finds the template. @param image of the template's size and type
-  /// @throws std::invalid_argument naming both sizes and types if they differ; std::logic_error without a template
-  const TrackResult& track(const cv::Mat& image);
-
-  /// The last result of track(); zero displacement after training.
-  const TrackResult& result() const { return result_; }
+  /// @throws also for a region without contrast: noise alone would move the estimate by more than max_predicted_sd
+  void train(const cv::Mat& image, const cv::Rect& region) override;
+  void reset() override;
+  bool trained() const override { return template_ != nullptr; }
+  cv::Rect region() const override;
+  const TrackResult& track(const cv::Mat& image) override;
+  const TrackResult& result() const override { return result_; }
 
 private:
   struct Template;

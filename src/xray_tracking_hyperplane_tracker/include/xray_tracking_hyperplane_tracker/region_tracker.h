@@ -1,0 +1,65 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <opencv2/core.hpp>
+
+namespace xray_tracking
+{
+/// Motions of a region within the image; the number of parameters.
+enum class MotionModel
+{
+  TRANSLATION = 2,
+  EUCLIDEAN = 3,   ///< and rotation
+  SIMILARITY = 4,  ///< and scale
+  AFFINE = 6       ///< and anisotropic scale and shear
+};
+
+/// What was found in one image.
+struct TrackResult
+{
+  enum class Status
+  {
+    TRACKED,          ///< displacement and covariance are valid
+    LOW_CORRELATION,  ///< what was found does not look like the template
+    DIVERGED,         ///< the search did not settle
+    OUT_OF_IMAGE      ///< more than a quarter of the template lies outside the image
+  };
+
+  Status status = Status::TRACKED;
+  /// Where the region's centre is, less where it was in the template's image [px].
+  Eigen::Vector2d displacement = Eigen::Vector2d::Zero();
+  /// What was at x is now at centre + displacement + linear (x - centre), with the region's centre in the template's
+  /// image; the identity for translations.
+  Eigen::Matrix2d linear = Eigen::Matrix2d::Identity();
+  /// Of the displacement [px^2].
+  Eigen::Matrix2d covariance = Eigen::Matrix2d::Zero();
+  double correlation = 0.0;  ///< of the template and what was found, both without slow shading; -1..1
+  int iterations = 0;        ///< steps of the search, all levels
+};
+
+/// Follows a region that was learnt in one image through others of the same detector.
+class RegionTracker
+{
+public:
+  virtual ~RegionTracker() = default;
+
+  /// Learns a new template; the displacement starts again at zero.
+  /// @param image CV_8UC1 or CV_16UC1; @param region [px], inside the image, 16 px or more in both directions
+  /// @throws std::invalid_argument saying what is wrong with the image or the region; an earlier template stays.
+  virtual void train(const cv::Mat& image, const cv::Rect& region) = 0;
+
+  /// Forgets the template.
+  virtual void reset() = 0;
+
+  virtual bool trained() const = 0;
+  /// The template's region in its image; empty if there is no template.
+  virtual cv::Rect region() const = 0;
+
+  /// Finds the template. @param image of the template's size and type
+  /// @throws std::invalid_argument naming both sizes and types if they differ; std::logic_error without a template
+  virtual const TrackResult& track(const cv::Mat& image) = 0;
+
+  /// The last result of track(); zero displacement after training.
+  virtual const TrackResult& result() const = 0;
+};
+}  // namespace xray_tracking
