@@ -252,6 +252,19 @@ void HyperplaneTracker::train(const cv::Mat& image, const cv::Rect& region)
   result_.correlation = 1.;
 }
 
+const TrackResult& HyperplaneTracker::trackFrom(const cv::Mat& image, const Eigen::Vector2d& displacement)
+{
+  const Eigen::Vector2f last_good = last_good_;
+  const bool lost = lost_;
+  last_good_ = displacement.cast<float>();
+  if (track(image).status != TrackResult::Status::TRACKED)
+  {
+    last_good_ = last_good;
+    lost_ = lost;
+  }
+  return result_;
+}
+
 const TrackResult& HyperplaneTracker::track(const cv::Mat& image)
 {
   if (!template_)

@@ -80,6 +80,7 @@ public:
   bool trained() const override { return template_ != nullptr; }
   cv::Rect region() const override;
   const TrackResult& track(const cv::Mat& image) override;
+  const TrackResult& trackFrom(const cv::Mat& image, const Eigen::Vector2d& displacement) override;
   const TrackResult& result() const override { return result_; }
 
 private:

@@ -59,7 +59,12 @@ public:
   /// @throws std::invalid_argument naming both sizes and types if they differ; std::logic_error without a template
   virtual const TrackResult& track(const cv::Mat& image) = 0;
 
-  /// The last result of track(); zero displacement after training.
+  /// As track(), from another start than the last good place, for a search of the whole image (RegionSearch) or a
+  /// prediction. Where the template is not found, the last good place and whether it counts as lost are as before.
+  /// @param displacement of the region's centre [px]; the linear part starts as the identity
+  virtual const TrackResult& trackFrom(const cv::Mat& image, const Eigen::Vector2d& displacement) = 0;
+
+  /// The last result of track() or trackFrom(); zero displacement after training.
   virtual const TrackResult& result() const = 0;
 };
 }  // namespace xray_tracking
