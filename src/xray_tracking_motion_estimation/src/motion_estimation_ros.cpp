@@ -167,7 +167,7 @@ PatientMotion MotionEstimationRos::motionFromStates() const
   {
     const std::uint8_t state = assembler_->exposure()[i]->state;
     const bool waiting = state == TrackedRegion::UNTRAINED || state == TrackedRegion::TRAINING;
-    if (state == TrackedRegion::TRACKING || (waiting && motion.state == PatientMotion::LOST))
+    if (state == TrackedRegion::TRACKING || state == TrackedRegion::DEGRADED || (waiting && motion.state == PatientMotion::LOST))
     {
       continue;
     }
@@ -285,7 +285,7 @@ std::optional<MotionEstimate> MotionEstimationRos::estimate(PatientMotion& motio
     measurements_[i].room_from_patient = views_[i].reference->second;
     measurements_[i].displacement = { region.displacement_x, region.displacement_y };
     measurements_[i].covariance =
-        Eigen::Map<const Eigen::Matrix<double, 2, 2, Eigen::RowMajor>>(region.covariance.data());
+        Eigen::Map<const Eigen::Matrix<double, 6, 6, Eigen::RowMajor>>(region.covariance.data()).topLeftCorner<2, 2>();
   }
   const MotionEstimate result = estimator_->estimate(measurements_);
   motion.reason = result.reason;

@@ -138,7 +138,9 @@ class Graph:
         message.header.stamp = rospy.Time(0, stamp)
         message.header.frame_id = detector.frame()
         message.displacement_x, message.displacement_y = displacement
-        message.covariance = [0.01, 0.002, 0.002, 0.02]
+        covariance = np.zeros((6, 6))
+        covariance[:2, :2] = [[0.01, 0.002], [0.002, 0.02]]
+        message.covariance = covariance.ravel().tolist()
         message.cpu_time = rospy.Duration(0.001)
         message.wall_time = rospy.Duration(0.002)
         return message
@@ -307,7 +309,7 @@ class MotionEstimationTest(unittest.TestCase):
         self.assertEqual(answer.state, PatientMotion.LOST)
         self.assertIn('detector_b: displacement', answer.reason)
         regions = self.regions(2)
-        regions[0].covariance = [float('nan')] * 4
+        regions[0].covariance = [float('nan')] * 36
         answer = self.expose(regions, 2)
         self.assertEqual(answer.state, PatientMotion.LOST)
         self.assertIn('detector_a: covariance', answer.reason)

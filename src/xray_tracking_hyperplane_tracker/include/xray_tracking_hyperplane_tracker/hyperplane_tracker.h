@@ -12,28 +12,40 @@
 
 namespace xray_tracking
 {
+struct SearchResult;
+struct Warp;
+
 /// How a template is learnt and followed.
 struct HyperplaneTrackerOptions
 {
+  MotionModel model = MotionModel::TRANSLATION;
   /// Template points, uniformly random in the region; 50..20000.
-  int points = 600;
-  /// Largest trained motion of every predictor, coarse to fine [px]; > 0, falling.
-  std::vector<double> ranges{ 30.0, 12.0, 4.0, 1.5 };
+  int points = 300;
+  /// Edge of the square bins of pixels whose means the points sample [px]; 1..16. 1: single pixels, as in the paper.
+  int bin = 4;
+  /// Largest trained translation of every predictor, coarse to fine [px]; > 0, falling.
+  std::vector<double> ranges{ 40.0, 16.0, 5.0 };
+  /// Largest trained rotation [deg] and relative change of scale and shear of the coarsest predictor; > 0, used by models
+  /// that have them. The finer predictors' are smaller as their translations are.
+  double rotation_range = 8.0;
+  double scale_range = 0.08;
   /// Random motions that a predictor is learnt from; 50..100000.
-  int training_motions = 1200;
-  /// Weight of white noise beside the trained motions' grey-value changes; > 0.
-  double ridge = 1e-3;
-  /// Weight of the overlay that moves on its own (see HyperplaneTracker): its grey-value changes beside those of the
-  /// finest range's motions; >= 0. From 0.1 to 10 the results hardly differ.
+  int training_motions = 800;
+  /// Weight of the overlay that moves on its own (see HyperplaneTracker): its grey-value changes beside those of
+  /// motions by up to 1.5 px; >= 0.
   double background = 1.0;
+  /// Whether the last steps use all pixels of the region; else the predictors' answer is the result, as in the paper.
+  bool whole_region = true;
   /// Steps of eq. (1) a predictor; >= 1.
   int max_iterations = 20;
-  /// A step shorter than this ends the iteration [px]; > 0.
+  /// A step shorter than this ends the predictors' iteration [px]; > 0.
   double convergence = 0.05;
   /// Below this correlation the region is lost; 0..1.
   double min_correlation = 0.65;
   /// A lost region is found again above this correlation; min_correlation..1.
   double found_correlation = 0.75;
+  /// Below this quality (TrackResult) the region is found but degraded; 0..1.
+  double good_quality = 0.6;
   /// A region is refused if noise alone would move the estimate by more [px]; > 0.
   double max_predicted_sd = 0.3;
   /// The same seed gives the same points and motions.
@@ -77,19 +89,30 @@ public:
   /// @throws also for a region without contrast: noise alone would move the estimate by more than max_predicted_sd
   void train(const cv::Mat& image, const cv::Rect& region) override;
   void reset() override;
-  bool trained() const override { return template_ != nullptr; }
+  bool trained() const override { return state_ != nullptr; }
   cv::Rect region() const override;
   const TrackResult& track(const cv::Mat& image) override;
   const TrackResult& trackFrom(const cv::Mat& image, const Eigen::Vector2d& displacement) override;
   const TrackResult& result() const override { return result_; }
 
+  /// Tracks, and where the region is found learns the predictors anew from this image, for a region whose looks have
+  /// changed. Displacements are still those from the first image, and what measures them in the end, the last steps or,
+  /// without these, the finest predictor, is still learnt from it: errors do not add up over re-trainings.
+  /// @return whether the region was found; else nothing is learnt
+  bool retrain(const cv::Mat& image);
+
 private:
-  struct Template;
+  struct State;
+
+  /// Finds the template from a start into result_.
+  void search(const cv::Mat& image, const Warp& start);
+  /// @param degraded whether the last result was
+  TrackResult::Status judged(const SearchResult& found, bool degraded) const;
+  void adopt(const SearchResult& found, TrackResult::Status status);
 
   HyperplaneTrackerOptions options_;
   IntensityModel intensity_;
-  std::unique_ptr<Template> template_;
-  Eigen::Vector2f last_good_ = Eigen::Vector2f::Zero();
+  std::unique_ptr<State> state_;
   bool lost_ = false;
   TrackResult result_;
 };

@@ -19,7 +19,8 @@ struct TrackResult
 {
   enum class Status
   {
-    TRACKED,          ///< displacement and covariance are valid
+    TRACKED,          ///< the warp and its covariance are valid
+    DEGRADED,         ///< so are these, but much of the region does not look like the template
     LOW_CORRELATION,  ///< what was found does not look like the template
     DIVERGED,         ///< the search did not settle
     OUT_OF_IMAGE      ///< more than a quarter of the template lies outside the image
@@ -31,10 +32,13 @@ struct TrackResult
   /// What was at x is now at centre + displacement + linear (x - centre), with the region's centre in the template's
   /// image; the identity for translations.
   Eigen::Matrix2d linear = Eigen::Matrix2d::Identity();
-  /// Of the displacement [px^2].
-  Eigen::Matrix2d covariance = Eigen::Matrix2d::Zero();
+  /// Of (displacement x, y, linear 11, 12, 21, 22) [px and 1]; zero where the model does not let a parameter move.
+  Eigen::Matrix<double, 6, 6> covariance = Eigen::Matrix<double, 6, 6>::Zero();
   double correlation = 0.0;  ///< of the template and what was found, both without slow shading; -1..1
+  double quality = 0.0;      ///< the correlation times the share of the region that it was found in; 0..1
   int iterations = 0;        ///< steps of the search, all levels
+
+  bool found() const { return status == Status::TRACKED || status == Status::DEGRADED; }
 };
 
 /// Follows a region that was learnt in one image through others of the same detector.
@@ -61,7 +65,8 @@ public:
 
   /// As track(), from another start than the last good place, for a search of the whole image (RegionSearch) or a
   /// prediction. Where the template is not found, the last good place and whether it counts as lost are as before.
-  /// @param displacement of the region's centre [px]; the linear part starts as the identity
+  /// @param displacement of the region's centre, to within about 10 px: what is farther away, as a neighbouring vertebra
+  ///        is, is not looked at; the linear part starts as the identity
   virtual const TrackResult& trackFrom(const cv::Mat& image, const Eigen::Vector2d& displacement) = 0;
 
   /// The last result of track() or trackFrom(); zero displacement after training.
