@@ -95,6 +95,7 @@ class MethodsTest(RegistrationTestCase):
                     pose.pose.pose.position.x = float("nan")
                 poses.publish(pose)
             motions.publish(motion)
+            answers.wait(k + 1)
         for k, message in enumerate(answers.wait(EXPOSURES)):
             if k == 4:
                 self.check_failed(message, stamps[k], RefinementResult.INVALID, "nan")
