@@ -45,7 +45,8 @@ TEST_P(ImageLevelTest, DerivativesAgreeWithCentralDifferences)
 {
   const ProjectionGeometry& geometry = PhantomExposures::instance().views()[0];
   const Bodies bodies{ std::make_unique<BodyRenderer>(
-                           blobs({ { { 3, -4, 5 }, 0.02 }, { { -12, 9, -6 }, 0.015 }, { { 4, 14, -9 }, 0.01 } }), 1.0),
+                           blobs({ { { 3, -4, 5 }, 0.02 }, { { -12, 9, -6 }, 0.015 }, { { 4, 14, -9 }, 0.01 } }), 1.0,
+                           Projector::SHEAR_WARP),
                        std::make_unique<BodyRenderer>(blobs({ { { -14, 6, 10 }, 0.01 }, { { 12, -12, -2 }, 0.02 } }),
                                                       1.0, Projector::SHEAR_WARP),
                        Eigen::Vector3d(2.0, 3.0, -1.0) };
