@@ -15,9 +15,9 @@ sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
 from graph_test_case import DETECTORS, GraphTestCase, matrix, target_registration_error_mm  # noqa: E402
 from xray_tracking_msgs.msg import PatientMotion, RefinedPose, RefinementResult  # noqa: E402
 
-# Translation alone, on a region of which a part moves otherwise than the target and which rotates by up to 2.4 degrees:
-# no better than the method's own published limits (peers.md's figure for the paper's way is 1.07 / 1.35 mm).
-MEDIAN_MM, P95_MM = 1.2, 2.4
+# Tracking from the last refined exposure: a region of which a part moves otherwise than the target. From the first
+# exposure alone it is 0.8 / 1.2 mm.
+MEDIAN_MM, P95_MM = 0.5, 1.2
 # Of the registration with two bodies: what it is specified to reach.
 REFINED_MEDIAN_MM, REFINED_P95_MM = 0.2, 0.4
 
@@ -46,8 +46,6 @@ class SequenceTest(GraphTestCase):
                     listeners[f"/{name}/image_raw"] = ["/xray_nodelets", "/registration"]
                     listeners[f"/{name}/camera_info"] = ["/motion_estimation", "/registration"]
                 self.wait_for_listeners("/player", listeners)
-                self.wait_for_listeners("/motion_estimation", {"/patient_motion": ["/registration"],
-                                                               "/patient_pose": ["/registration"]})
                 rospy.ServiceProxy("/player/pause_playback", SetBool)(False)
                 self.wait_for(lambda: len(self.motions) >= exposures and len(refined) >= exposures, 120.0,
                               f"{exposures} exposures answered")

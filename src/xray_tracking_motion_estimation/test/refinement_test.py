@@ -66,12 +66,14 @@ class RefinementTest(LiveTestCase):
     def demand(self):
         self.assertTrue(self.demand_service().success)
 
-    def move(self):
+    def move(self, alter=lambda regions: None, state=PatientMotion.OK):
         """An exposure 0.2 mm further on. Returns its motion [mm], answer and pose."""
         RefinementTest.travel += 1
         motion = np.array([0.0, 0.2, 0.1]) * self.travel
-        answer, _ = self.live(motion)
-        self.assertEqual(answer.state, PatientMotion.OK, answer.reason)
+        answer, _ = self.live(motion, alter)
+        self.assertEqual(answer.state, state, answer.reason)
+        if state != PatientMotion.OK:
+            return motion, answer, None
         stamp = answer.header.stamp.to_nsec()
         self.graph.wait_for(lambda: stamp in self.graph.poses, 'pose')
         return motion, answer, self.graph.poses[stamp][0].pose.pose
@@ -165,6 +167,47 @@ class RefinementTest(LiveTestCase):
             np.testing.assert_allclose(offset, before, rtol=0, atol=TOLERANCE)
             np.testing.assert_allclose(rotation, rotation_before, rtol=0, atol=1e-4)
         stand_in.alter = lambda result: None
+
+    def disagree(self, pixels):
+        """Moves the first view's region along its columns, which is the axis that both views see."""
+        def alter(regions):
+            regions[0].displacement_x += pixels
+        return alter
+
+    def test_5_each_view_is_anchored(self):
+        """What a view is wrong by, if it stays, is out of the tracks after a refinement, and the views agree."""
+        truth, alter = self.offset()[0], self.disagree(1.5)
+        motion, answer, pose = self.move(alter)
+        self.assertGreater(answer.disagreement, 0.3)
+        place, rotation = self.target_of(pose)
+        self.stand_in.shift = truth - (place - (self.graph.target + motion) / 1000.0)
+        self.assertGreater(np.linalg.norm(self.stand_in.shift), 1e-4)
+        accepted = self.count('refinements accepted')
+        self.demand()
+        self.move(alter)
+        self.wait_until_counted('refinements accepted', accepted + 1)
+        self.stand_in.shift = np.zeros(3)
+        for _ in range(5):
+            motion, answer, pose = self.move(alter)
+            self.assertLess(answer.disagreement, 0.01)
+            np.testing.assert_allclose(self.target_of(pose)[0] - (self.graph.target + motion) / 1000.0, truth, rtol=0,
+                                       atol=TOLERANCE)
+
+    def test_6_an_exposure_without_a_pose(self):
+        """The views contradict each other until the registration says where the target is."""
+        truth, alter = self.offset()[0], self.disagree(20.0)
+        self.move()
+        accepted = self.count('refinements accepted')
+        _, answer, _ = self.move(alter, PatientMotion.INCONSISTENT)
+        self.demand()
+        _, answer, _ = self.move(alter, PatientMotion.INCONSISTENT)
+        # Started from the last pose, which the target is 0.2 mm a step away from.
+        self.stand_in.shift = np.zeros(3)
+        self.wait_until_counted('refinements accepted', accepted + 1)
+        _, answer, _ = self.move(alter)
+        self.assertLess(answer.disagreement, 0.01)
+        # Back on the right place, the track contradicts what it was anchored to.
+        self.move(state=PatientMotion.INCONSISTENT)
 
     def test_4_no_answer_in_time(self):
         """A request that is not answered is given up, its late answer is void, and the next one is asked."""

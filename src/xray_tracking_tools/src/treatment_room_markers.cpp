@@ -32,6 +32,8 @@ const std_msgs::ColorRGBA kBeamColour = colour(1.0F, 0.85F, 0.2F, 0.25F);
 const std_msgs::ColorRGBA kIsocentreColour = colour(1.0F, 1.0F, 1.0F, 1.0F);
 const std_msgs::ColorRGBA kTargetColour = colour(0.9F, 0.3F, 0.9F, 1.0F);
 const std_msgs::ColorRGBA kTrailColour = colour(0.3F, 0.8F, 1.0F, 1.0F);
+const std_msgs::ColorRGBA kOpenColour = colour(0.2F, 0.9F, 0.3F, 1.0F);
+const std_msgs::ColorRGBA kHoldColour = colour(1.0F, 0.2F, 0.2F, 1.0F);
 
 Marker makeMarker(const std::string& ns, int id, int type, const std_msgs::ColorRGBA& rgba,
                   const std::string& frame = kRoomFrame)
@@ -119,11 +121,11 @@ std_msgs::ColorRGBA stateColour(std::uint8_t state)
   switch (state)
   {
     case TrackedRegion::TRACKING:
-      return colour(0.2F, 0.9F, 0.3F, 1.0F);
+      return kOpenColour;
     case TrackedRegion::TRAINING:
       return colour(1.0F, 0.8F, 0.1F, 1.0F);
     default:
-      return colour(1.0F, 0.2F, 0.2F, 1.0F);
+      return kHoldColour;
   }
 }
 
@@ -213,5 +215,14 @@ Marker trailMarker(const std::vector<geometry_msgs::Point>& points)
     trail.action = Marker::DELETE;
   }
   return trail;
+}
+
+Marker gateMarker(bool open, const std::string& why)
+{
+  Marker marker = makeMarker("beam_gate", 0, Marker::TEXT_VIEW_FACING, open ? kOpenColour : kHoldColour);
+  marker.pose.position.z = 0.3;
+  marker.scale.z = 0.04;
+  marker.text = (open ? "beam gate open: " : "HOLD: ") + why;
+  return marker;
 }
 }  // namespace xray_tracking
