@@ -14,6 +14,8 @@ namespace
 {
 /// Intake, a request that is being worked on, a load, and one that tells others to wait.
 constexpr std::uint32_t kThreads = 4;
+/// Slices as thin as the pixels.
+const PhantomCtOptions kPhantomCt{ { 200, 200, 200 }, { 1.0, 1.0, 1.0 }, 1.0 };
 constexpr const char* kStopping = "the node is shutting down";
 
 }  // namespace
@@ -162,7 +164,7 @@ std::shared_ptr<const Registration> RegistrationRos::makeRegistration(const std:
     throw std::invalid_argument("ct is absent in " + parameters_.setup_file +
                                 ", expected the path of a CT (source: ct)");
   }
-  const CtVolume ct = ct_path.empty() ? NeckPhantom().sampleCt({}) : readCtVolume(ct_path);
+  const CtVolume ct = ct_path.empty() ? NeckPhantom().sampleCt(kPhantomCt) : readCtVolume(ct_path);
   if (parameters_.bodies == 1)
   {
     return std::make_shared<const Registration>(oneBody(ct), setup_.target_box, parameters_.options);
