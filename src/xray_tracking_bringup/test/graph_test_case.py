@@ -2,6 +2,7 @@
 import threading
 import time
 import unittest
+import xmlrpc.client
 
 import numpy as np
 import rosgraph
@@ -93,18 +94,32 @@ class GraphTestCase(unittest.TestCase):
         self.fail(f"not within {timeout} s: {what}")
 
     def wait_for_subscribers(self, topics):
-        """topics: topic -> names of the nodes that must have subscribed to it."""
+        """topics: topic -> names of the nodes that must have subscribed to it and be connected to all who publish it.
+        Being registered is not enough: connections take a moment, and what is sent meanwhile is lost."""
         master = rosgraph.Master(rospy.get_name())
 
+        def reached(publisher):
+            """(topic, node) of what a publisher is connected to."""
+            try:
+                _, _, entries = xmlrpc.client.ServerProxy(master.lookupNode(publisher)).getBusInfo(rospy.get_name())
+            except (rosgraph.MasterException, OSError):
+                return set()
+            return {(topic, node) for _, node, direction, _, topic, *_ in entries if direction == "o"}
+
         def ready():
-            subscribers = dict(master.getSystemState()[1])
-            return all(set(nodes) <= set(subscribers.get(topic, [])) for topic, nodes in topics.items())
+            publishers, subscribers, _ = (dict(entries) for entries in master.getSystemState())
+            senders = {name for topic in topics for name in publishers.get(topic, [])}
+            connections = {name: reached(name) for name in senders}
+            return all(node in subscribers.get(topic, []) and
+                       all((topic, node) in connections[name] for name in publishers.get(topic, []))
+                       for topic, nodes in topics.items() for node in nodes)
 
         self.wait_for(ready, 60.0, f"subscribers of {topics}")
 
     def wait_for_graph(self):
         me = rospy.get_name()
-        topics = {"/patient_pose": [me], "/patient_motion": [me], "/patient_ground_truth": [me], "/tf": [me]}
+        topics = {"/patient_pose": [me], "/patient_motion": [me], "/patient_ground_truth": [me], "/tf": [me],
+                  "/tf_static": ["/motion_estimation"]}
         for name in DETECTORS:
             topics[f"/{name}/image_raw"] = ["/xray_nodelets"]
             topics[f"/{name}/camera_info"] = ["/motion_estimation"]
