@@ -142,6 +142,16 @@ TEST_F(DicomSeriesTest, Errors)
   expectRefused(folder_.path(), { sliceName(17) });
   writeSlice(volume, 17, sliceName(17));
 
+  // At the end of the series: no gap tells of it.
+  truncate(folder_.path(sliceName(35)), 0.0);
+  expectRefused(folder_.path(), { sliceName(35), "not a readable DICOM file" });
+  std::ofstream(folder_.path(sliceName(35))) << "no slice";
+  expectRefused(folder_.path(), { sliceName(35), "not a readable DICOM file" });
+  fs::rename(folder_.path(sliceName(35)), folder_.path("notes.txt"));
+  EXPECT_EQ(readCtVolume(folder_.path()).grid.size.z(), 35);
+  fs::remove(folder_.path("notes.txt"));
+  writeSlice(volume, 35, sliceName(35));
+
   writeSeries(volume, "5.6.7");
   expectRefused(folder_.path(), { "2 CT series", "1.2.3.4", "5.6.7", "36 files" });
 }

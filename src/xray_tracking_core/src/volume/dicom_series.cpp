@@ -5,6 +5,7 @@
 #include <filesystem>
 #include <locale>
 #include <map>
+#include <set>
 #include <sstream>
 
 #include <gdcmScanner.h>
@@ -133,6 +134,26 @@ std::vector<std::string> filesOfOneSeries(const gdcm::Scanner& scanner, const st
   return series.begin()->second;
 }
 
+/// An empty or cut-off slice at the end of a series would leave no gap that tells of it.
+/// @param slices the files of the series
+/// @throws if another file of the folder is named like them and is not DICOM
+void requireReadable(const gdcm::Directory::FilenamesType& files, const std::vector<std::string>& slices,
+                     const gdcm::Scanner& scanner, const std::string& folder)
+{
+  std::set<std::string> extensions;
+  for (const std::string& slice : slices)
+  {
+    extensions.insert(std::filesystem::path(slice).extension());
+  }
+  for (const std::string& file : files)
+  {
+    if (!scanner.IsKey(file.c_str()) && extensions.count(std::filesystem::path(file).extension()) == 1)
+    {
+      failCt(folder, baseName(file) + " is not a readable DICOM file, but is named like the slices of the series");
+    }
+  }
+}
+
 void requireSameSlices(const std::vector<Slice>& slices, const std::string& folder)
 {
   const Slice& first = slices.front();
@@ -223,8 +244,10 @@ DicomSeries findCtSeries(const std::string& folder)
   }
   scanner.Scan(files);
 
+  const std::vector<std::string> series_files = filesOfOneSeries(scanner, folder);
+  requireReadable(files, series_files, scanner, folder);
   std::vector<Slice> slices;
-  for (const std::string& file : filesOfOneSeries(scanner, folder))
+  for (const std::string& file : series_files)
   {
     slices.push_back(readSlice(scanner, file));
   }
