@@ -140,7 +140,7 @@ void MotionEstimationRos::accept(const Refinement& refinement)
       last_pose_ = { refinement.stamp, refinement.refined };
     }
   }
-  gate_->refined(correction);
+  gate_->refined(refinement.stamp, correction, rotationAngle(last_pose_->second * setup_.room_from_patient.inverse()));
 
   // From here on tracks count from the refined exposure: what each view was wrong by until then is out of them.
   const auto tracked = std::find_if(tracked_views_.begin(), tracked_views_.end(),
