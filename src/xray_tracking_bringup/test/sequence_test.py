@@ -15,11 +15,10 @@ sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
 from graph_test_case import DETECTORS, GraphTestCase, matrix, target_registration_error_mm  # noqa: E402
 from xray_tracking_msgs.msg import PatientMotion, RefinedPose, RefinementResult  # noqa: E402
 
-# Tracking from the last refined exposure: a region of which a part moves otherwise than the target. From the first
-# exposure alone it is 0.8 / 1.2 mm.
-MEDIAN_MM, P95_MM = 0.5, 1.2
-# Of the registration with two bodies: what it is specified to reach.
-REFINED_MEDIAN_MM, REFINED_P95_MM = 0.2, 0.4
+# By the sequence's name: TRE of the poses that tracking has at once, going on from refined exposures (from the first
+# exposure alone it is 0.8 / 1.2 and 0.7 / 1.8 mm), and of the registration's, which is specified to reach this; median
+# and 95 % in mm. And the number of exposures whose views may contradict each other: they are refined nevertheless.
+LIMITS = {"thorax_01": ((0.5, 1.0), (0.2, 0.4), 0), "thorax_02": ((0.6, 1.4), (0.25, 0.6), 4)}
 
 
 class SequenceTest(GraphTestCase):
@@ -52,26 +51,31 @@ class SequenceTest(GraphTestCase):
             finally:
                 player.terminate()
                 player.wait()
-        for stamp, motion in self.motions.items():
-            self.assertEqual(motion.state, PatientMotion.OK, f"{stamp}: {motion.reason}")
-        self.wait_for(lambda: len(self.poses) >= exposures, 10.0, "poses")
-        errors = self.errors_mm((box["min"], box["max"]))
-        print(f"TRE mm: median {np.median(errors[1:]):.3f}, max {errors.max():.3f}")
-        self.assertEqual(len(errors), exposures)
-        self.assertLessEqual(np.median(errors[1:]), MEDIAN_MM)
-        self.assertLessEqual(np.percentile(errors[1:], 95), P95_MM)
+        tracked_limits, refined_limits, lost = LIMITS[os.path.basename(sequence)]
+        contradictory = sorted(stamp for stamp, motion in self.motions.items() if motion.state != PatientMotion.OK)
+        for stamp in contradictory:
+            self.assertEqual(self.motions[stamp].state, PatientMotion.INCONSISTENT, self.motions[stamp].reason)
+        self.assertLessEqual(len(contradictory), lost)
+        self.wait_for(lambda: len(self.poses) >= exposures - len(contradictory), 10.0, "poses")
+        self.assertEqual(sorted(set(self.gold) - set(self.poses)), contradictory)
+        self.check("tracked", self.poses, box, tracked_limits)
 
         self.assertEqual(len(refined), exposures)
         for stamp, message in refined.items():
             self.assertEqual(message.result.status, RefinementResult.SUCCESS, f"{stamp}: {message.result.reason}")
             self.assertEqual(message.method, "tracking_and_registration")
-        errors = [target_registration_error_mm(matrix(refined[stamp].result.pose.pose.position,
-                                                      refined[stamp].result.pose.pose.orientation),
-                                               self.gold[stamp], (box["min"], box["max"]))
-                  for stamp in sorted(self.gold)]
-        print(f"refined TRE mm: median {np.median(errors[1:]):.3f}, max {max(errors):.3f}")
-        self.assertLessEqual(np.median(errors[1:]), REFINED_MEDIAN_MM)
-        self.assertLessEqual(np.percentile(errors[1:], 95), REFINED_P95_MM)
+        poses = {stamp: matrix(message.result.pose.pose.position, message.result.pose.pose.orientation)
+                 for stamp, message in refined.items()}
+        self.check("refined", poses, box, refined_limits)
+
+    def check(self, name, poses, box, limits):
+        """The errors of all exposures after the first that have a pose."""
+        errors = [target_registration_error_mm(poses[stamp], self.gold[stamp], (box["min"], box["max"]))
+                  for stamp in sorted(poses)[1:]]
+        median, p95 = np.percentile(errors, (50, 95))
+        print(f"{name}: TRE mm: median {median:.3f}, p95 {p95:.3f}, max {max(errors):.3f}")
+        self.assertLessEqual(median, limits[0])
+        self.assertLessEqual(p95, limits[1])
 
 
 if __name__ == "__main__":
