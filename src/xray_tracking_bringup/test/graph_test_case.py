@@ -7,6 +7,7 @@ import xmlrpc.client
 import numpy as np
 import rosgraph
 import rospy
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
@@ -44,11 +45,13 @@ class GraphTestCase(unittest.TestCase):
         cls.poses, cls.gold, cls.tf, cls.motions = {}, {}, {}, {}
         cls.regions = {name: {} for name in DETECTORS}
         cls.tf_count = 0
+        cls.diagnosis = {}  # motion_estimation's latest
         cls.subscribers = [
             rospy.Subscriber("patient_pose", PoseWithCovarianceStamped, cls._pose, queue_size=1000),
             rospy.Subscriber("patient_ground_truth", PoseStamped, cls._gold, queue_size=1000),
             rospy.Subscriber("patient_motion", PatientMotion, cls._motion, queue_size=1000),
             rospy.Subscriber("/tf", TFMessage, cls._tf, queue_size=1000),
+            rospy.Subscriber("/diagnostics", DiagnosticArray, cls._diagnostics, queue_size=1000),
         ] + [
             rospy.Subscriber(f"{name}/tracked_region", TrackedRegion, cls._region, callback_args=name, queue_size=1000)
             for name in DETECTORS
@@ -82,6 +85,17 @@ class GraphTestCase(unittest.TestCase):
                     cls.tf_count += 1
                     cls.tf[transform.header.stamp] = matrix(transform.transform.translation,
                                                             transform.transform.rotation)
+
+    @classmethod
+    def _diagnostics(cls, message):
+        with cls.lock:
+            for status in message.status:
+                if "motion_estimation" in status.name:
+                    cls.diagnosis = {entry.key: entry.value for entry in status.values}
+
+    def refinements(self, outcome):
+        """How many were `accepted`, `refused` or `without an answer`."""
+        return int(self.diagnosis.get(f"refinements {outcome}", 0))
 
     def wait_for(self, condition, timeout, what):
         """Waits in wall time, so also while a bag's clock stands."""

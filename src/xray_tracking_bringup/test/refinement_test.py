@@ -8,7 +8,6 @@ import rospkg
 import rospy
 import rostest
 import yaml
-from diagnostic_msgs.msg import DiagnosticArray
 
 sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
 from graph_test_case import DETECTORS, GraphTestCase, matrix, target_registration_error_mm  # noqa: E402
@@ -25,15 +24,8 @@ class RefinementTest(GraphTestCase):
         with open(setup_path, encoding="utf-8") as file:
             box = yaml.safe_load(file)["target_box_mm"]
         self.box = (box["min"], box["max"])
-        refined, counts = {}, {}
-
-        def diagnostics_cb(message):
-            for status in message.status:
-                if "motion_estimation" in status.name:
-                    counts.update({entry.key: entry.value for entry in status.values})
-
+        refined = {}
         rospy.Subscriber("refined_pose", RefinedPose, lambda message: refined.update({message.header.stamp: message}))
-        rospy.Subscriber("/diagnostics", DiagnosticArray, diagnostics_cb)
         self.wait_for_graph()
         self.wait_for_subscribers({f"/{name}/{topic}": ["/registration"] for name in DETECTORS
                                    for topic in ("image_raw", "camera_info")})
@@ -48,9 +40,9 @@ class RefinementTest(GraphTestCase):
             self.assertEqual(message.method, "tracking_and_registration")
         errors = self.errors_mm(self.box)
         print(f"tracking: TRE mm: median {np.median(errors[1:]):.3f}, max {errors.max():.3f}")
-        getattr(self, sys.argv[1])(refined, counts, errors)
+        getattr(self, sys.argv[1])(refined, errors)
 
-    def accepted(self, refined, counts, errors):
+    def accepted(self, refined, errors):
         for stamp, message in refined.items():
             self.assertEqual(message.result.status, RefinementResult.SUCCESS, f"{stamp}: {message.result.reason}")
         registered = [target_registration_error_mm(matrix(refined[stamp].result.pose.pose.position,
@@ -62,16 +54,15 @@ class RefinementTest(GraphTestCase):
         # Tracking goes on from the refined exposures, so that it is as good between them.
         self.assertLessEqual(np.median(errors[1:]), 0.3)
         self.assertLessEqual(errors.max(), 0.7)
-        self.wait_for(lambda: int(counts.get("refinements accepted", 0)) >= 0.8 * EXPOSURES, 10.0,
-                      f"most of the refinements are accepted: {counts}")
+        self.wait_for(lambda: self.refinements("accepted") >= 0.8 * EXPOSURES, 10.0,
+                      "most of the refinements are accepted")
 
-    def refused(self, refined, counts, errors):
+    def refused(self, refined, errors):
         for stamp, message in refined.items():
             self.assertEqual(message.result.status, RefinementResult.UNRELIABLE, f"{stamp}: {message.result.reason}")
-        self.wait_for(lambda: int(counts.get("refinements refused", 0)) == EXPOSURES, 10.0,
-                      f"all refinements are refused: {counts}")
-        self.assertEqual(int(counts["refinements accepted"]), 0)
-        self.assertIn("similarity", counts["last refusal"])
+        self.wait_for(lambda: self.refinements("refused") == EXPOSURES, 10.0, "all refinements are refused")
+        self.assertEqual(self.refinements("accepted"), 0)
+        self.assertIn("similarity", self.diagnosis["last refusal"])
         # As good as tracking is, which shows what the refinement is for.
         self.assertLess(errors[0], 1e-6)
         self.assertGreater(np.median(errors[1:]), 0.35)
