@@ -13,7 +13,7 @@ from std_srvs.srv import SetBool
 
 sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
 from graph_test_case import DETECTORS, GraphTestCase, matrix, target_registration_error_mm  # noqa: E402
-from xray_tracking_msgs.msg import PatientMotion, RefinedPose, RefinementResult  # noqa: E402
+from xray_tracking_msgs.msg import BeamGate, PatientMotion, RefinedPose, RefinementResult  # noqa: E402
 
 # By the sequence's name: TRE of the poses that tracking has at once, going on from refined exposures (from the first
 # exposure alone it is 0.8 / 1.2 and 0.7 / 1.8 mm), and of the registration's, which is specified to reach this; median
@@ -36,6 +36,8 @@ class SequenceTest(GraphTestCase):
         self.refined = {}
         rospy.Subscriber("refined_pose", RefinedPose,
                          lambda message: self.refined.update({message.header.stamp: message}))
+        gates = []
+        rospy.Subscriber("beam_gate", BeamGate, gates.append)
         with tempfile.TemporaryDirectory() as folder:
             bag = os.path.join(folder, "exposures.bag")
             subprocess.run(["rosrun", "xray_tracking_tools", "sequence_to_bag", sequence, bag], check=True)
@@ -46,6 +48,9 @@ class SequenceTest(GraphTestCase):
                         received.clear()
                 self.play(bag, exposures)
                 self.judge(box, exposures, *LIMITS[os.path.basename(sequence)])
+        self.assertTrue(gates)
+        self.assertEqual([gate.text for gate in gates if gate.reason == BeamGate.BAD_STAMP], [],
+                         "a played bag's stamps fit its clock")
 
     def play(self, bag, exposures):
         player = subprocess.Popen(["rosbag", "play", "--clock", "--quiet", "--pause", bag, "__name:=player"])
