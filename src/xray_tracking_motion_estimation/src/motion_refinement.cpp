@@ -95,18 +95,21 @@ void MotionEstimationRos::considerRefinement(const PatientMotion& motion, const 
 void MotionEstimationRos::accept(const Refinement& refinement)
 {
   const Eigen::Vector3d target = setup_.targetCentre();
-  const Matrix6d covariance = covarianceAt(target, refinement.refined, refinement.covariance);
-  if (estimator_)
+  if (history_.empty())
   {
-    try
-    {
-      estimator_->setReference(refinement.refined, covariance);
-    }
-    catch (const std::invalid_argument& error)
-    {
-      ROS_WARN_STREAM("refinement refused: " << error.what());
-      return;
-    }
+    // Nothing was measured so far: the first templates are still those of the initial pose.
+    last_pose_ = { refinement.stamp, refinement.refined };
+    return;
+  }
+  const Matrix6d covariance = covarianceAt(target, refinement.refined, refinement.covariance);
+  try
+  {
+    estimator_->setReference(refinement.refined, covariance);
+  }
+  catch (const std::invalid_argument& error)
+  {
+    ROS_WARN_STREAM("refinement refused: " << error.what());
+    return;
   }
   reference_ = refinement.refined;
   reference_covariance_ = covariance;
@@ -131,10 +134,7 @@ void MotionEstimationRos::accept(const Refinement& refinement)
   }
   else
   {
-    if (!history_.empty())  // What templates are relative to is known.
-    {
-      history_.add(refinement.stamp, refinement.refined);
-    }
+    history_.add(refinement.stamp, refinement.refined);
     if (!last_pose_ || last_pose_->first < refinement.stamp)
     {
       last_pose_ = { refinement.stamp, refinement.refined };
@@ -149,10 +149,15 @@ void MotionEstimationRos::accept(const Refinement& refinement)
   {
     const TrackedRegion::ConstPtr& region = tracked->regions[i];
     std::optional<Reference>& reference = views_[i].reference;
-    if (doubtOfState(views_[i], region.get()).state == PatientMotion::OK &&
-        (!reference || reference->template_stamp <= region->reference_stamp))
+    if (doubtOfState(views_[i], region.get()).state != PatientMotion::OK ||
+        (reference && reference->template_stamp > region->reference_stamp))
     {
-      reference = Reference{ region->reference_stamp, refinement.refined, trackOf(i, *region, tracked->offsets[i]) };
+      continue;
+    }
+    const Track track = trackOf(i, *region, tracked->offsets[i]);
+    if (track.warp().allFinite() && track.covariance.allFinite() && track.linear.determinant() > 0.0)
+    {
+      reference = Reference{ region->reference_stamp, refinement.refined, track };
     }
   }
   ROS_INFO_STREAM("refinement of the exposure at "

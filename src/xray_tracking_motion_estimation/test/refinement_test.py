@@ -10,12 +10,12 @@ import rospy
 import rostest
 from geometry_msgs.msg import Point, Quaternion
 from std_srvs.srv import Trigger
-from xray_tracking_msgs.msg import PatientMotion, RefinementResult
+from xray_tracking_msgs.msg import PatientMotion, RefinementResult, TrackedRegion
 from xray_tracking_msgs.srv import RefinePose, RefinePoseResponse
 
 sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
-from estimation_graph import (TIMEOUT, LiveTestCase, rotation_about, rotation_from_xyzw, value,  # noqa: E402
-                              xyzw_from_rotation)
+from estimation_graph import (NANOSECONDS, TIMEOUT, LiveTestCase, rotation_about,  # noqa: E402
+                              rotation_from_xyzw, value, xyzw_from_rotation)
 
 # m; a correction of 1 mm is read off at other depths than the tracks were made for: 4e-4 of 10 mm of motion.
 TOLERANCE = 2e-5
@@ -168,6 +168,26 @@ class RefinementTest(LiveTestCase):
             np.testing.assert_allclose(rotation, rotation_before, rtol=0, atol=1e-4)
         stand_in.alter = lambda result: None
 
+    def test_4_no_answer_in_time(self):
+        """A request that is not answered is given up, its late answer is void, and the next one is asked."""
+        stand_in = self.stand_in
+        before, _ = self.offset()
+        timeouts = self.count('refinements without an answer')
+        accepted = self.count('refinements accepted')
+        stand_in.hold.clear()
+        stand_in.shift = np.array([4e-4, 0.0, 0.0])
+        self.demand()
+        self.move()
+        self.wait_until_counted('refinements without an answer', timeouts + 1)
+        stand_in.hold.set()
+        stand_in.shift = np.zeros(3)
+        offset, _ = self.offset()
+        np.testing.assert_allclose(offset, before, rtol=0, atol=TOLERANCE)
+        self.assertEqual(self.count('refinements accepted'), accepted)
+        self.demand()
+        self.move()
+        self.wait_until_counted('refinements accepted', accepted + 1)
+
     def disagree(self, pixels):
         """Moves the first view's region along its columns, which is the axis that both views see."""
         def alter(regions):
@@ -209,25 +229,32 @@ class RefinementTest(LiveTestCase):
         # Back on the right place, the track contradicts what it was anchored to.
         self.move(state=PatientMotion.INCONSISTENT)
 
-    def test_4_no_answer_in_time(self):
-        """A request that is not answered is given up, its late answer is void, and the next one is asked."""
-        stand_in = self.stand_in
-        before, _ = self.offset()
-        timeouts = self.count('refinements without an answer')
+    def test_7_before_anything_is_measured(self):
+        """Templates of which nothing is known yet are those of the initial pose, whatever was refined before."""
+        start = rospy.Time.now().to_nsec() - 5000 * NANOSECONDS  # a run that begins anew
+
+        def lost(regions):
+            for region in regions:
+                region.state = TrackedRegion.LOST
+
+        def expose(index, motion, alter=lambda regions: None):
+            stamp = start + index * NANOSECONDS // 10
+            self.send(stamp, motion, alter)
+            self.graph.wait_for(lambda: stamp in self.graph.motions, 'answer to exposure %d' % index)
+            return stamp, self.graph.motions[stamp][0].state
+
+        self.assertEqual(expose(0, np.zeros(3), lost)[1], PatientMotion.LOST)
         accepted = self.count('refinements accepted')
-        stand_in.hold.clear()
-        stand_in.shift = np.array([4e-4, 0.0, 0.0])
+        self.stand_in.shift = np.array([1e-3, 0.0, 0.0])
         self.demand()
-        self.move()
-        self.wait_until_counted('refinements without an answer', timeouts + 1)
-        stand_in.hold.set()
-        stand_in.shift = np.zeros(3)
-        offset, _ = self.offset()
-        np.testing.assert_allclose(offset, before, rtol=0, atol=TOLERANCE)
-        self.assertEqual(self.count('refinements accepted'), accepted)
-        self.demand()
-        self.move()
+        expose(1, np.zeros(3), lost)
         self.wait_until_counted('refinements accepted', accepted + 1)
+        motion = np.array([0.5, -0.4, 0.3])
+        stamp, state = expose(2, motion)
+        self.assertEqual(state, PatientMotion.OK)
+        self.graph.wait_for(lambda: stamp in self.graph.poses, 'pose')
+        place, _ = self.target_of(self.graph.poses[stamp][0].pose.pose)
+        np.testing.assert_allclose(place, (self.graph.target + motion) / 1000.0, rtol=0, atol=TOLERANCE)
 
 
 if __name__ == '__main__':
