@@ -25,13 +25,21 @@ const ros::Duration kBackwardJump(1.0);
 
 const char* stateName(std::uint8_t state)
 {
-  static const char* const kNames[] = { "untrained", "training", "tracking", "lost" };
+  static const char* const kNames[] = { "untrained", "training", "tracking", "lost", "degraded" };
   return kNames[state];
 }
 
 cv::Scalar stateColour(std::uint8_t state)
 {
-  return state == xray_tracking_msgs::TrackedRegion::TRACKING ? cv::Scalar(80, 200, 80) : cv::Scalar(60, 60, 230);
+  using xray_tracking_msgs::TrackedRegion;
+  return state == TrackedRegion::TRACKING   ? cv::Scalar(80, 200, 80)
+         : state == TrackedRegion::DEGRADED ? cv::Scalar(40, 180, 230)
+                                            : cv::Scalar(60, 60, 230);
+}
+
+bool isFound(std::uint8_t state)
+{
+  return state == xray_tracking_msgs::TrackedRegion::TRACKING || state == xray_tracking_msgs::TrackedRegion::DEGRADED;
 }
 
 double threadCpuSeconds()
@@ -198,7 +206,7 @@ void HyperplaneTrackerRos::process(const Arrival& arrival)
   }
   TrackedRegion result;
   result.header = arrival.image->header;
-  result.model = TrackedRegion::TRANSLATION;
+  result.model = static_cast<std::uint8_t>(parameters_.tracker.model);
   result.linear = { 1.0, 0.0, 0.0, 1.0 };
   const std::string fault = answer(arrival.image, result);
   result.cpu_time = ros::Duration(threadCpuSeconds() - cpu_start);
@@ -265,7 +273,7 @@ std::string HyperplaneTrackerRos::answer(const sensor_msgs::ImageConstPtr& image
   {
     result.region = regionMsgFromRect(tracker_->region());
     result.reference_stamp = reference_stamp_;
-    if (result.state != TrackedRegion::TRACKING)
+    if (!isFound(result.state))
     {
       result.state = TrackedRegion::LOST;
     }
@@ -293,14 +301,14 @@ void HyperplaneTrackerRos::track(const cv::Mat& image, TrackedRegion& result)
   const TrackResult& track = tracker_->track(image);
   result.correlation = track.correlation;
   result.iterations = static_cast<std::uint32_t>(track.iterations);
-  if (track.status == TrackResult::Status::TRACKED)
+  result.quality = track.quality;
+  if (track.found())
   {
-    result.state = TrackedRegion::TRACKING;
+    result.state = track.status == TrackResult::Status::TRACKED ? TrackedRegion::TRACKING : TrackedRegion::DEGRADED;
     result.displacement_x = track.displacement.x();
     result.displacement_y = track.displacement.y();
-    Eigen::Map<Eigen::Matrix<double, 6, 6, Eigen::RowMajor>>(result.covariance.data()).topLeftCorner<2, 2>() =
-        track.covariance;
-    result.quality = std::max(0.0, track.correlation);
+    Eigen::Map<Eigen::Matrix<double, 2, 2, Eigen::RowMajor>>(result.linear.data()) = track.linear;
+    Eigen::Map<Eigen::Matrix<double, 6, 6, Eigen::RowMajor>>(result.covariance.data()) = track.covariance;
   }
 }
 
@@ -332,7 +340,7 @@ void HyperplaneTrackerRos::publishOverlay(const sensor_msgs::ImageConstPtr& imag
   {
     RegionOverlay overlay;
     overlay.reference = rectFromRegionMsg(result.region);
-    if (result.state == TrackedRegion::TRACKING)
+    if (isFound(result.state))
     {
       overlay.displacement = Eigen::Vector2d(result.displacement_x, result.displacement_y);
     }

@@ -120,6 +120,7 @@ std_msgs::ColorRGBA stateColour(std::uint8_t state)
   {
     case TrackedRegion::TRACKING:
       return colour(0.2F, 0.9F, 0.3F, 1.0F);
+    case TrackedRegion::DEGRADED:
     case TrackedRegion::TRAINING:
       return colour(1.0F, 0.8F, 0.1F, 1.0F);
     default:
@@ -183,7 +184,8 @@ std::vector<Marker> staticMarkers(const TreatmentSetup& setup)
 std::vector<Marker> regionMarkers(const ProjectionGeometry& detector, int id, const TrackedRegion& region)
 {
   Eigen::Vector2d displacement(region.displacement_x, region.displacement_y);
-  if (region.state != TrackedRegion::TRACKING || !displacement.allFinite())
+  const bool found = region.state == TrackedRegion::TRACKING || region.state == TrackedRegion::DEGRADED;
+  if (!found || !displacement.allFinite())
   {
     displacement.setZero();
   }
