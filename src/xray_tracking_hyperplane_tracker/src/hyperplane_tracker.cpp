@@ -58,6 +58,15 @@ HyperplaneTracker::~HyperplaneTracker() = default;
 HyperplaneTracker::HyperplaneTracker(HyperplaneTracker&&) noexcept = default;
 HyperplaneTracker& HyperplaneTracker::operator=(HyperplaneTracker&&) noexcept = default;
 
+void HyperplaneTracker::setThresholds(const HyperplaneTrackerOptions& options)
+{
+  options.validate();
+  options_.min_correlation = options.min_correlation;
+  options_.found_correlation = options.found_correlation;
+  options_.min_quality = options.min_quality;
+  options_.good_quality = options.good_quality;
+}
+
 void HyperplaneTracker::reset()
 {
   state_.reset();

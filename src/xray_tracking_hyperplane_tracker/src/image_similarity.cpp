@@ -97,6 +97,7 @@ Agreement agreementOf(const cv::Mat& a, const cv::Mat& b)
 {
   constexpr int kRounds = 5;
   constexpr double kOutlier = 3.0 * kDeviationOfMedian;
+  constexpr double kRounding = 1e-3;
   Agreement agreement;
   // The first fit is without what is far off by itself.
   agreement.inliers = cv::abs(b) <= kOutlier * medianMagnitude(b);
@@ -123,7 +124,9 @@ Agreement agreementOf(const cv::Mat& a, const cv::Mat& b)
     const double variance = moments.aa - moments.a * moments.a / count;
     const double gain = variance > 0.0 ? (moments.ab - moments.a * moments.b / count) / variance : 0.0;
     const cv::Mat residual = b - gain * a - (moments.b - gain * moments.a) / count;
-    agreement.inliers = cv::abs(residual) <= kOutlier * medianMagnitude(residual);
+    // Where the two are the same but for rounding, nothing is off.
+    agreement.inliers =
+        cv::abs(residual) <= std::max(kOutlier * medianMagnitude(residual), kRounding * medianMagnitude(b));
   }
 }
 }  // namespace xray_tracking

@@ -222,6 +222,13 @@ TemplateRegistration::~TemplateRegistration() = default;
 TemplateRegistration::TemplateRegistration(TemplateRegistration&&) noexcept = default;
 TemplateRegistration& TemplateRegistration::operator=(TemplateRegistration&&) noexcept = default;
 
+void TemplateRegistration::setThresholds(const TemplateRegistrationOptions& options)
+{
+  options.validate();
+  options_.min_correlation = options.min_correlation;
+  options_.found_correlation = options.found_correlation;
+}
+
 void TemplateRegistration::reset()
 {
   template_.reset();

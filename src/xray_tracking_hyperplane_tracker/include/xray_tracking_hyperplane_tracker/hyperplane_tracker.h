@@ -108,6 +108,10 @@ public:
   /// @return whether the region was found; else nothing is learnt
   bool retrain(const cv::Mat& image);
 
+  /// From now on judges by these min_correlation, found_correlation, min_quality and good_quality; all else stays.
+  /// @throws std::invalid_argument, see HyperplaneTrackerOptions::validate
+  void setThresholds(const HyperplaneTrackerOptions& options);
+
 private:
   struct State;
 

@@ -66,6 +66,10 @@ public:
   const TrackResult& trackFrom(const cv::Mat& image, const Eigen::Vector2d& displacement) override;
   const TrackResult& result() const override { return result_; }
 
+  /// From now on judges by these min_correlation and found_correlation; all else stays.
+  /// @throws std::invalid_argument, see TemplateRegistrationOptions::validate
+  void setThresholds(const TemplateRegistrationOptions& options);
+
 private:
   struct Template;
 
