@@ -23,6 +23,7 @@ using xray_tracking_msgs::TrackedRegion;
 
 /// Time that stamps go back by when a bag starts again; less is a disorder of exposures.
 const ros::Duration kBackwardJump(1.0);
+const TrackedRegion::_linear_type kIdentity = { 1.0, 0.0, 0.0, 1.0 };
 
 cv::Scalar stateColour(std::uint8_t state)
 {
@@ -183,7 +184,7 @@ void HyperplaneTrackerRos::process(const Arrival& arrival)
   const auto result = boost::make_shared<TrackedRegion>();
   result->header = arrival.image->header;
   result->model = static_cast<std::uint8_t>(parameters_.tracker.model);
-  result->linear = { 1.0, 0.0, 0.0, 1.0 };
+  result->linear = kIdentity;
   const std::string fault = answer(arrival.image, *result);
   result->cpu_time = ros::Duration(stopwatch.cpuSeconds());
   result->wall_time = ros::Duration((ros::SteadyTime::now() - arrival.time).toSec());
@@ -237,6 +238,12 @@ std::string HyperplaneTrackerRos::answer(const sensor_msgs::ImageConstPtr& image
       if (tracker_->trained())
       {
         track(pixels->image, result);
+        if (image == reference_)
+        {
+          // There it is by definition; what the tracker says is the image's noise.
+          result.displacement_x = result.displacement_y = 0.0;
+          result.linear = kIdentity;
+        }
       }
       if (request && !request->region)
       {

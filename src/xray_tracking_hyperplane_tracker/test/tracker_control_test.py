@@ -39,7 +39,8 @@ class TrackerControlTest(TrackerTestCase):
         self.expect_value("too_slow", "exposures answered", str(1 + len(answered)))
 
     def test_other_methods_track_as_well(self):
-        for name, model in (("by_nmi", TrackedRegion.TRANSLATION), ("by_gradient_correlation", TrackedRegion.EUCLIDEAN)):
+        for name, model in (("by_nmi", TrackedRegion.TRANSLATION),
+                            ("by_gradient_correlation", TrackedRegion.EUCLIDEAN)):
             detector = self.connect(name)
             reference, answer = self.show(detector, exposure())
             self.assertEqual(answer.state, TrackedRegion.TRACKING)

@@ -126,7 +126,7 @@ class TrackerTestCase(unittest.TestCase):
         self.assertAlmostEqual(answer.displacement_y, displacement[1], delta=tolerance)
         self.assertGreater(answer.correlation, correlation)
         self.assertGreater(answer.quality, quality)
-        self.assertGreaterEqual(answer.iterations, 4)
+        self.assertGreaterEqual(answer.iterations, 1)
         self.assertEqual((answer.model, answer.linear), (TrackedRegion.TRANSLATION, (1.0, 0.0, 0.0, 1.0)))
         xx, xy, yx, yy = (answer.covariance[i] for i in (0, 1, 6, 7))
         self.assertFalse(any(answer.covariance[12:]))
@@ -148,7 +148,7 @@ class TrackerTestCase(unittest.TestCase):
         detector.send(reference, exposure())
         answer = detector.answer()
         self.judge(answer, reference, reference, (0.0, 0.0))
-        self.assertLess(math.hypot(answer.displacement_x, answer.displacement_y), 0.01)  # the image's noise, which the template is without
+        self.assertEqual((answer.displacement_x, answer.displacement_y), (0.0, 0.0))
         return reference
 
     def call(self, service, *arguments):
