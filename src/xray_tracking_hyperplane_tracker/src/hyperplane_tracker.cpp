@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <optional>
 #include <stdexcept>
 
 #include "image_check.h"
@@ -15,6 +16,17 @@ namespace
 {
 /// A degraded region is good again when its quality is this much above the threshold.
 constexpr double kQualityHysteresis = 0.05;
+/// The coarsest predictor that does not reach farther is the first one for what is near [px]: a neighbouring vertebra,
+/// which looks alike, is farther away.
+constexpr double kNear = 20.0;
+
+/// Mean logarithm of what is left of the region's variance, where all of it is left in what did not count: the negative
+/// log likelihood, but for constants, of noise where it counted and of anything elsewhere.
+double misfit(const SearchResult& found)
+{
+  constexpr double kLeastVariance = 1e-6;
+  return found.share * std::log(std::max(kLeastVariance, 1.0 - found.correlation * found.correlation));
+}
 }  // namespace
 
 void HyperplaneTrackerOptions::validate() const
@@ -100,19 +112,19 @@ bool HyperplaneTracker::retrain(const cv::Mat& image)
 
 const TrackResult& HyperplaneTracker::track(const cv::Mat& image)
 {
-  search(image, state_ ? state_->warp : Warp());
+  search(image, state_ ? state_->warp : Warp(), false);
   lost_ = !result_.found();
   return result_;
 }
 
 const TrackResult& HyperplaneTracker::trackFrom(const cv::Mat& image, const Eigen::Vector2d& displacement)
 {
-  search(image, { displacement, Eigen::Matrix2d::Identity() });
+  search(image, { displacement, Eigen::Matrix2d::Identity() }, true);
   lost_ = lost_ && !result_.found();
   return result_;
 }
 
-void HyperplaneTracker::search(const cv::Mat& image, const Warp& start)
+void HyperplaneTracker::search(const cv::Mat& image, const Warp& start, bool only_near)
 {
   if (!state_)
   {
@@ -120,26 +132,42 @@ void HyperplaneTracker::search(const cv::Mat& image, const Warp& start)
   }
   RegionTemplate& t = state_->region_template;
   requireTemplatesKind(image, t.imageSize(), t.imageType());
+  std::size_t first = 0;
+  while (only_near && first + 1 < t.levels() && options_.ranges[first] > kNear)
+  {
+    ++first;
+  }
 
-  // What covers a part of the region confuses the coarse predictors more than the fine ones, which small motions do not
-  // need: what is not found from afar may be found from near.
+  // What covers a part of the region confuses the coarse predictors more than the fine ones, and may send them to a
+  // neighbour that looks alike. So what is degraded, not found or far away is looked for from near, too.
   const bool degraded = result_.status == TrackResult::Status::DEGRADED;
+  std::optional<SearchResult> best;
   int iterations = 0;
-  for (std::size_t level = 0; level <= t.levels(); ++level)
+  for (std::size_t level = first; level <= t.levels(); ++level)
   {
     const SearchResult found = t.search(image, start, level);
     iterations += found.iterations;
     const TrackResult::Status status = judged(found, degraded);
     const bool success = status == TrackResult::Status::TRACKED || status == TrackResult::Status::DEGRADED;
-    if (level == 0 || success)
+    const bool better = success && (!best || misfit(found) < misfit(*best));
+    if (better || level == first)
     {
       adopt(found, status);
     }
-    if (success)
+    if (better)
     {
-      state_->warp = found.warp;
+      best = found;
+    }
+    const bool is_last = level + 1 >= t.levels();
+    if (status == TrackResult::Status::TRACKED &&
+        (is_last || (found.warp.translation - start.translation).norm() < options_.ranges[level + 1]))
+    {
       break;
     }
+  }
+  if (best)
+  {
+    state_->warp = best->warp;
   }
   result_.iterations = iterations;
 }

@@ -22,6 +22,8 @@ constexpr float kMotionError = 0.15f;
 /// A tile's mean this many times the median of all means away from the middle is far.
 constexpr float kFarMean = 4.f;
 constexpr int kReweightings = 6;
+/// A residual's variance in units of the noise's is hardly less: between pixels, bilinear sampling leaves a quarter.
+constexpr double kLeastNoise = 0.2;
 }  // namespace
 
 void RegionFit::layTiles(const cv::Rect& region)
@@ -67,30 +69,28 @@ RegionFit::RegionFit(const cv::Mat& image, const IntensityModel& intensity, cons
     unknowns_(parameters + kShadings),
     step_(static_cast<int>(std::ceil(std::sqrt(region.area() / kMaxFitPixels)))),
     grid_(region.width / step_, region.height / step_),
-    floor_(model.noise * model.noise)
+    floor_(kLeastNoise * model.noise * model.noise)
 {
   layTiles(region);
   const Eigen::Index n = points_.rows();
   values_.resize(n);
   sampled_.resize(n);
   outside_.resize(n);
-  const PixelMap identity{ 1.f, 0.f, 0.f, 0.f, 1.f, 0.f };
-  samplePoints(image, intensity, points_, box_, identity, values_, outside_);
 
   // Derivatives by the motion, on the grid for the filter.
   constexpr int kMargin = 16;
-  cv::Mat smooth;
   const cv::Rect seen =
       cv::Rect(region.x - kMargin, region.y - kMargin, region.width + 2 * kMargin, region.height + 2 * kMargin) &
       cv::Rect(cv::Point(), image.size());
-  smooth = withoutNoise(attenuationImage(image(seen), intensity), model.noise);
+  const cv::Mat raw = attenuationImage(image(seen), intensity);
+  const cv::Mat smooth = withoutNoise(raw, model.noise);
   cv::Mat gradient_x, gradient_y;
   cv::Sobel(smooth, gradient_x, CV_32F, 1, 0, 1, 0.5);
   cv::Sobel(smooth, gradient_y, CV_32F, 0, 1, 1, 0.5);
   const Eigen::Vector2d centre(region.x + 0.5 * (region.width - 1), region.y + 0.5 * (region.height - 1));
   const Whitening whitening(grid_, step_, model);
-  Eigen::MatrixXf derivatives(n, parameters);
-  Eigen::MatrixXf instruments(n, parameters);
+  std::array<Eigen::MatrixXf, 2> instruments;
+  instruments.fill(Eigen::MatrixXf(n, parameters));
   const auto on_grid = [&](Eigen::Index i)
   { return cv::Point(static_cast<int>(points_(i, 0)), static_cast<int>(points_(i, 1))); };
   for (int k = 0; k < parameters; ++k)
@@ -112,27 +112,38 @@ RegionFit::RegionFit(const cv::Mat& image, const IntensityModel& intensity, cons
     for (Eigen::Index i = 0; i < n; ++i)
     {
       const cv::Point place = (on_grid(i) - region.tl()) / step_;
-      derivatives(i, k) = derivative.at<float>(place);
-      instruments(i, k) = instrument.at<float>(place);
+      instruments[WHITE](i, k) = derivative.at<float>(place);
+      instruments[OVERLAY](i, k) = instrument.at<float>(place);
     }
   }
 
   const Eigen::MatrixXd shading = shadingPatterns(points_, region);
   Eigen::MatrixXd patterns(n, kShadings);
-  // The template's own noise would make all contrasts seem too low (regression dilution): without it.
+  Eigen::VectorXf noise(n);
+  // The template's own noise would answer to the derivatives of the same noise, and make all contrasts seem too low
+  // (regression dilution): without it.
   patterns.leftCols<kShadings - 1>() = shading;
   for (Eigen::Index i = 0; i < n; ++i)
   {
-    patterns(i, kShadings - 1) = static_cast<double>(smooth.at<float>(on_grid(i) - seen.tl()));
+    values_[i] = smooth.at<float>(on_grid(i) - seen.tl());
+    noise[i] = raw.at<float>(on_grid(i) - seen.tl()) - values_[i];
+    patterns(i, kShadings - 1) = static_cast<double>(values_[i]);
   }
-  for (const Tile& tile : tiles_)
+  const auto clear_padding = [this](auto& columns)
   {
-    patterns.middleRows(tile.begin + tile.count, tile.padded - tile.count).setZero();
-    derivatives.middleRows(tile.begin + tile.count, tile.padded - tile.count).setZero();
-    instruments.middleRows(tile.begin + tile.count, tile.padded - tile.count).setZero();
-  }
+    for (const Tile& tile : tiles_)
+    {
+      columns.middleRows(tile.begin + tile.count, tile.padded - tile.count).setZero();
+    }
+  };
+  clear_padding(patterns);
+  clear_padding(noise);
   const Nuisance found(patterns);
-  found.removeFrom(instruments);
+  for (Eigen::MatrixXf& columns : instruments)
+  {
+    clear_padding(columns);
+    found.removeFrom(columns);
+  }
   Eigen::MatrixXf nuisance = found.basis();
   contrast_ = nuisance.rightCols<1>().dot(patterns.rightCols<1>().cast<float>());
   if (contrast_ < 0.f)
@@ -140,49 +151,62 @@ RegionFit::RegionFit(const cv::Mat& image, const IntensityModel& intensity, cons
     contrast_ = -contrast_;
     nuisance.rightCols<1>() *= -1.f;
   }
+  store(instruments, nuisance, noise);
 
   const Eigen::Index tiles = static_cast<Eigen::Index>(tiles_.size());
-  columns_.resize(n * (2 * parameters + kShadings));
-  normal_.resize(tiles * unknowns_, unknowns_);
-  energy_.resize(tiles * unknowns_, unknowns_);
-  all_normal_ = Eigen::MatrixXd::Zero(unknowns_, unknowns_);
-  all_squares_ = Eigen::MatrixXd::Zero(unknowns_, unknowns_);
-  tolerance_.resize(tiles);
-  float* column = columns_.data();
-  for (Eigen::Index t = 0; t < tiles; ++t)
-  {
-    const Tile& tile = tiles_[static_cast<std::size_t>(t)];
-    Eigen::MatrixXf left(tile.padded, unknowns_), right(tile.padded, unknowns_);
-    const auto rows = [&tile](const Eigen::MatrixXf& all) { return all.middleRows(tile.begin, tile.padded); };
-    left << rows(instruments), rows(nuisance);
-    right << rows(derivatives), rows(nuisance);
-    Eigen::Map<Eigen::MatrixXf> stored(column, tile.padded, 2 * parameters + kShadings);
-    stored << rows(instruments), right;
-    column += stored.size();
-    normal_.middleRows(t * unknowns_, unknowns_) = left.transpose() * right;
-    energy_.middleRows(t * unknowns_, unknowns_) = right.transpose() * right;
-    all_squares_ += (left.transpose() * left).cast<double>();
-    all_normal_ += normal_.middleRows(t * unknowns_, unknowns_).cast<double>();
-    tolerance_[t] =
-        kMotionError * kMotionError * rows(derivatives).leftCols(2).squaredNorm() / static_cast<float>(tile.count);
-  }
-
-  information_.resize(tiles);
-  for (Eigen::Index t = 0; t < tiles; ++t)
-  {
-    const Eigen::MatrixXd part = normal_.middleRows(t * unknowns_, unknowns_).cast<double>();
-    information_[t] = (part.diagonal().array() / all_normal_.diagonal().array()).head(parameters).sum();
-  }
-
   sums_.resize(2 * parameters + kShadings + 1, tiles);
   weights_.resize(tiles);
   variances_.resize(tiles);
   sorted_.resize(tiles);
   product_.resize(tiles * unknowns_);
   scores_.resize(unknowns_, tiles);
-  unknown_.resize(unknowns_);
-  solution_.motion.resize(parameters);
-  solution_.covariance.resize(parameters, parameters);
+}
+
+void RegionFit::store(const std::array<Eigen::MatrixXf, 2>& instruments, const Eigen::MatrixXf& nuisance,
+                      const Eigen::VectorXf& template_noise)
+{
+  const Eigen::Index tiles = static_cast<Eigen::Index>(tiles_.size());
+  const int p = parameters_;
+  const int q = unknowns_;
+  columns_.resize(points_.rows() * (2 * p + kShadings));
+  for (const Noise noise : { WHITE, OVERLAY })
+  {
+    normal_[noise].resize(tiles * q, q);
+    all_normal_[noise] = Eigen::MatrixXd::Zero(q, q);
+    all_squares_[noise] = Eigen::MatrixXd::Zero(q, q);
+    noise_scores_[noise].resize(q, tiles);
+  }
+  tolerance_.resize(tiles);
+  float* column = columns_.data();
+  for (Eigen::Index t = 0; t < tiles; ++t)
+  {
+    const Tile& tile = tiles_[static_cast<std::size_t>(t)];
+    const auto rows = [&tile](const Eigen::MatrixXf& all) { return all.middleRows(tile.begin, tile.padded); };
+    Eigen::Map<Eigen::MatrixXf> stored(column, tile.padded, 2 * p + kShadings);
+    stored << rows(instruments[WHITE]), rows(instruments[OVERLAY]), rows(nuisance);
+    column += stored.size();
+    Eigen::MatrixXf right(tile.padded, q), left(tile.padded, q);
+    right << rows(instruments[WHITE]), rows(nuisance);
+    for (const Noise noise : { WHITE, OVERLAY })
+    {
+      left << rows(instruments[noise]), rows(nuisance);
+      normal_[noise].middleRows(t * q, q) = left.transpose() * right;
+      all_normal_[noise] += normal_[noise].middleRows(t * q, q).cast<double>();
+      all_squares_[noise] += (left.transpose() * left).cast<double>();
+      noise_scores_[noise].col(t) = (left.transpose() * template_noise.segment(tile.begin, tile.padded)).cast<double>();
+    }
+    tolerance_[t] = kMotionError * kMotionError * right.leftCols(2).squaredNorm() / static_cast<float>(tile.count);
+  }
+
+  for (const Noise noise : { WHITE, OVERLAY })
+  {
+    information_[noise].resize(tiles);
+    for (Eigen::Index t = 0; t < tiles; ++t)
+    {
+      const Eigen::MatrixXd part = normal_[noise].middleRows(t * q, q).cast<double>();
+      information_[noise][t] = (part.diagonal().array() / all_normal_[noise].diagonal().array()).head(p).sum();
+    }
+  }
 }
 
 void RegionFit::sumTiles()
@@ -202,10 +226,11 @@ void RegionFit::sumTiles()
   }
 }
 
-const RegionFit::Solution& RegionFit::solve(const cv::Mat& image, const IntensityModel& intensity, const PixelMap& map)
+const RegionFit::Motions& RegionFit::solve(const cv::Mat& image, const IntensityModel& intensity, const PixelMap& map,
+                                           double& inside)
 {
   const int outside = samplePoints(image, intensity, points_, box_, map, sampled_, outside_);
-  solution_.inside = 1.0 - static_cast<double>(outside) / static_cast<double>(points_.rows());
+  inside = 1.0 - static_cast<double>(outside) / static_cast<double>(points_.rows());
   sampled_ -= values_;
   sumTiles();
   weights_.setOnes();
@@ -218,7 +243,12 @@ const RegionFit::Solution& RegionFit::solve(const cv::Mat& image, const Intensit
   }
   doubtCoveredTiles();
   reweight();
-  return solution_;
+  solveWeighted(WHITE);
+  for (const Noise noise : { WHITE, OVERLAY })
+  {
+    motions_[noise] = unknown_[noise].head(parameters_).cast<float>();
+  }
+  return motions_;
 }
 
 void RegionFit::doubtCoveredTiles()
@@ -271,51 +301,67 @@ RegionFit::System RegionFit::scoreScatter() const
   return scatter;
 }
 
+RegionFit::Unknowns RegionFit::right(Noise noise, Eigen::Index tile) const
+{
+  Unknowns sums(unknowns_);
+  sums.head(parameters_) = sums_.col(tile).segment(noise * parameters_, parameters_).cast<double>();
+  sums.tail<kShadings>() = sums_.col(tile).segment<kShadings>(2 * parameters_).cast<double>();
+  return sums;
+}
+
+void RegionFit::solveWeighted(Noise noise)
+{
+  System system = all_normal_[noise];
+  Unknowns sums = Unknowns::Zero(unknowns_);
+  for (Eigen::Index t = 0; t < weights_.size(); ++t)
+  {
+    const double w = static_cast<double>(weights_[t]);
+    if (w != 1.0)
+    {
+      system.noalias() -= (1.0 - w) * normal_[noise].middleRows(t * unknowns_, unknowns_).cast<double>();
+    }
+    sums += w * right(noise, t);
+  }
+  inverse_[noise] = system.inverse();
+  unknown_[noise].noalias() = inverse_[noise] * sums;
+}
+
+void RegionFit::findVariances()
+{
+  const int q = unknowns_;
+  const UnknownsOfTiles unknown = unknown_[OVERLAY].cast<float>();
+  product_.noalias() = normal_[WHITE] * unknown;
+  for (Eigen::Index t = 0; t < weights_.size(); ++t)
+  {
+    const float explained =
+        unknown.dot(product_.segment(t * q, q)) - 2.f * unknown.dot(UnknownsOfTiles(right(WHITE, t).cast<float>()));
+    variances_[t] = std::max(0.f, sums_(sums_.rows() - 1, t) + explained) /
+                    static_cast<float>(tiles_[static_cast<std::size_t>(t)].count);
+  }
+}
+
 void RegionFit::reweight()
 {
-  const int p = parameters_;
-  const int q = unknowns_;
-  const Eigen::Index tiles = weights_.size();
-  System system(q, q);
-  Unknowns right(q), found(q);
-  System inverse(q, q);
-  for (int pass = 0;; ++pass)
+  for (int pass = 0; pass <= kReweightings; ++pass)
   {
-    system = all_normal_;
-    right.setZero();
-    for (Eigen::Index t = 0; t < tiles; ++t)
-    {
-      const float w = weights_[t];
-      if (w != 1.f)
-      {
-        system.noalias() -= static_cast<double>(1.f - w) * normal_.middleRows(t * q, q).cast<double>();
-      }
-      right.head(p) += static_cast<double>(w) * sums_.col(t).head(p).cast<double>();
-      right.tail<kShadings>() += static_cast<double>(w) * sums_.col(t).segment<kShadings>(2 * p).cast<double>();
-    }
-    inverse = system.inverse();
-    found.noalias() = inverse * right;
-    unknown_ = found.cast<float>();
-    product_.noalias() = energy_ * unknown_;
+    solveWeighted(OVERLAY);
+    findVariances();
     Eigen::Index kept = 0;
-    for (Eigen::Index t = 0; t < tiles; ++t)
+    for (Eigen::Index t = 0; t < weights_.size(); ++t)
     {
-      const float explained = unknown_.dot(product_.segment(t * q, q)) - 2.f * unknown_.dot(sums_.col(t).segment(p, q));
-      variances_[t] = std::max(0.f, sums_(2 * p + kShadings, t) + explained) /
-                      static_cast<float>(tiles_[static_cast<std::size_t>(t)].count);
       if (weights_[t] > 0.f)
       {
         sorted_[kept++] = variances_[t];
       }
     }
-    if (pass == kReweightings || kept == 0)
+    if (kept == 0)
     {
-      break;
+      return;
     }
     std::nth_element(sorted_.data(), sorted_.data() + kept / 2, sorted_.data() + kept);
     const float scale = std::max(sorted_[kept / 2], static_cast<float>(floor_));
     float change = 0.f;
-    for (Eigen::Index t = 0; t < tiles; ++t)
+    for (Eigen::Index t = 0; pass < kReweightings && t < weights_.size(); ++t)
     {
       if (weights_[t] > 0.f)
       {
@@ -327,50 +373,60 @@ void RegionFit::reweight()
     }
     if (change < 0.02f)
     {
-      break;
+      return;
     }
   }
+}
 
-  double squares = 0.0;
-  for (Eigen::Index t = 0; t < tiles; ++t)
+ParameterCovariance RegionFit::covariance(Noise noise, double missing)
+{
+  const int p = parameters_;
+  const int q = unknowns_;
+  const UnknownsOfTiles unknown = unknown_[noise].cast<float>();
+  product_.noalias() = normal_[noise] * unknown;
+  for (Eigen::Index t = 0; t < weights_.size(); ++t)
   {
-    // The first nuisance pattern is the constant c: sum of the residual times c, of which c^2 a pixel.
-    const float sum = sums_(2 * p, t) - product_[t * q + p];
-    squares += static_cast<double>(weights_[t] * sum * sum / std::max(energy_(t * q + p, p), 1e-30f));
+    scores_.col(t) = static_cast<double>(weights_[t]) *
+                     (right(noise, t) - noise_scores_[noise].col(t) - product_.segment(t * q, q).cast<double>());
   }
-  product_.noalias() = normal_ * unknown_;
-  float residual = 0.f, texture = 0.f;
-  double counted = 0.0, all = 0.0;
-  for (Eigen::Index t = 0; t < tiles; ++t)
+  const System scatter = scoreScatter() + missing * all_squares_[noise];
+  // So many tiles that tell as much as these would tell if all told the same.
+  const auto told = information_[noise] * weights_.cast<double>();
+  const double tiles = told.sum() * told.sum() / std::max(told.square().sum(), 1e-30);
+  // What four of them tell of the motion has gone into it, and is not left in their residuals. Their sums are as good
+  // as independent ones of 1 / 2.25 of the tiles' number; of so few, the inverse of the displacement's covariance is
+  // too large.
+  const double independent = tiles / 2.25;
+  const double freedom = tiles / std::max(1.0, tiles - 4.0) * independent / std::max(1.0, independent - 3.0);
+  return freedom * (inverse_[noise] * scatter * inverse_[noise].transpose()).topLeftCorner(p, p);
+}
+
+const RegionFit::Assessment& RegionFit::assess()
+{
+  const int q = unknowns_;
+  double residual = 0.0, texture = 0.0, counted = 0.0, all = 0.0;
+  for (Eigen::Index t = 0; t < weights_.size(); ++t)
   {
-    const float w = weights_[t];
-    auto score = scores_.col(t);
-    score.head(p) = sums_.col(t).head(p).cast<double>();
-    score.tail<kShadings>() = sums_.col(t).segment<kShadings>(2 * p).cast<double>();
-    score -= product_.segment(t * q, q).cast<double>();
-    score *= static_cast<double>(w);
-    const float count = static_cast<float>(tiles_[static_cast<std::size_t>(t)].count);
-    residual += w * variances_[t] * count;
-    texture += w * energy_(t * q + q - 1, q - 1);
-    counted += static_cast<double>(w * count);
-    all += static_cast<double>(count);
+    const double w = static_cast<double>(weights_[t]);
+    const double count = static_cast<double>(tiles_[static_cast<std::size_t>(t)].count);
+    residual += w * static_cast<double>(variances_[t]) * count;
+    texture += w * static_cast<double>(normal_[WHITE](t * q + q - 1, q - 1));
+    counted += w * count;
+    all += count;
   }
-  System scatter = scoreScatter();
-  // An image that is more like the template than noise allows is the template's own: the truth is not known better.
-  const double missing = floor_ - static_cast<double>(residual) / std::max(counted, 1.0);
-  scatter += std::max(0.0, missing) * all_squares_;
-  // So many tiles that tell as much as these would tell if all told the same; sums of four neighbours are as good as
-  // independent ones of 1 / 2.25 of that number; so few give too small a scatter.
-  const auto told = information_ * weights_.cast<double>();
-  const double independent = told.sum() * told.sum() / std::max(told.square().sum(), 1e-30) / 2.25;
-  const double freedom = independent / std::max(1.0, independent - p - 1);
-  solution_.motion = unknown_.head(p);
-  solution_.covariance = freedom * (inverse * scatter * inverse.transpose()).topLeftCorner(p, p);
-  const float strength = (unknown_[q - 1] + contrast_) * std::sqrt(texture);
-  residual += static_cast<float>(counted) * static_cast<float>(floor_) * 0.01f;
-  solution_.correlation = strength / std::sqrt(strength * strength + residual);
-  solution_.share = counted / all;
-  const double variance = static_cast<double>(residual) / std::max(counted, 1.0);
-  solution_.unevenness = squares / std::max(static_cast<double>(weights_.sum()) * variance, 1e-30);
+  // An image that is more like the template than noise allows is the template's own. It has no error, but whoever
+  // weighs by covariances needs one.
+  const double missing = std::max(0.0, floor_ - residual / std::max(counted, 1.0));
+  for (const Noise noise : { WHITE, OVERLAY })
+  {
+    assessment_.covariances[noise] = covariance(noise, missing);
+  }
+  const double strength = (unknown_[OVERLAY][q - 1] + static_cast<double>(contrast_)) * std::sqrt(texture);
+  assessment_.correlation = strength / std::sqrt(strength * strength + residual + 0.01 * counted * floor_);
+  assessment_.share = counted / all;
+  const Eigen::Vector2d difference = (motions_[WHITE] - motions_[OVERLAY]).head<2>().cast<double>();
+  const Eigen::Matrix2d uncertainty = assessment_.covariances[OVERLAY].topLeftCorner<2, 2>();
+  assessment_.disagreement = difference.dot(uncertainty.inverse() * difference);
+  return assessment_;
 }
 }  // namespace xray_tracking

@@ -20,13 +20,14 @@ constexpr double kHandOver = 0.2;
 /// Motions whose grey-value changes are those of an overlay with weight one [px]. The last steps, which need not find
 /// the region from afar, reckon with one that moves by more.
 constexpr double kBackgroundRange = 1.5;
-constexpr double kOverlayMotion = 4.2;
+constexpr double kOverlayMotion = 5.5;
 /// The last steps: how many, the longest that is believed, and that which needs none after it [px].
-constexpr int kMaxFits = 8;
+constexpr int kMaxFits = 24;
 constexpr float kFitRange = 3.f;
 constexpr float kFitConvergence = 0.02f;
-/// Below this unevenness (RegionFit::Solution) there is noise only; without an overlay it stays below 2.3.
-constexpr double kEven = 2.4;
+/// Disagreement (RegionFit) of an image without an overlay: the median and 95 % of chi-square for two degrees of freedom.
+constexpr double kWhiteFrom = 0.5;
+constexpr double kWhiteUntil = 6.0;
 /// Bins that a region has at least in both directions.
 constexpr int kMinBins = 16;
 /// Differences in units of the template's standard deviation: up to the first they count in full, from the second on
@@ -76,8 +77,6 @@ RegionTemplate::RegionTemplate(const cv::Mat& image, const cv::Rect& region, con
     DifferenceModel model = model_;
     model.background *= std::pow(kOverlayMotion / kBackgroundRange, 2);
     fit_.emplace(image, intensity, region, parameters_, radius_, model);
-    model.background = 0.0;
-    even_fit_.emplace(image, intensity, region, parameters_, radius_, model);
   }
 }
 
@@ -264,31 +263,49 @@ bool RegionTemplate::descend(const cv::Mat& image, const Level& level, float tol
   return length < tolerance;
 }
 
-void RegionTemplate::fit(RegionFit& region_fit, const cv::Mat& image, SearchResult& result)
+void RegionTemplate::fit(const cv::Mat& image, SearchResult& result)
 {
   BroydenSteps steps(parameters_, kFitRange);
+  bool chosen = false;
   result.status = TrackResult::Status::DIVERGED;
-  for (int k = 0; k < kMaxFits && result.status == TrackResult::Status::DIVERGED; ++k)
+  for (int k = 0; k < kMaxFits; ++k)
   {
-    const RegionFit::Solution& solution = region_fit.solve(image, intensity_, pixelMap(result.warp));
-    if (solution.inside < 1.0 - kMaxOutside)
+    double inside;
+    const RegionFit::Motions& motions = fit_->solve(image, intensity_, pixelMap(result.warp), inside);
+    ++result.iterations;
+    if (inside < 1.0 - kMaxOutside)
     {
       result.status = TrackResult::Status::OUT_OF_IMAGE;
       return;
     }
-    const Parameters& step = steps.next(solution.motion);
+    Parameters step = steps.next(motions[noise_]);
+    const float length = motions[noise_].norm();
+    const bool is_last = k + 1 == kMaxFits;
+    bool settled = std::max(step.norm(), length) < kFitConvergence;
+    if (settled || is_last)
+    {
+      const RegionFit::Assessment& assessment = fit_->assess();
+      // Usually it is as in the last image. If not, the other motion is hardly more than its error away.
+      const double most = noise_ == RegionFit::WHITE ? kWhiteUntil : kWhiteFrom;
+      const RegionFit::Noise noise = assessment.disagreement < most ? RegionFit::WHITE : RegionFit::OVERLAY;
+      if (noise != noise_ && !chosen && !is_last)
+      {
+        noise_ = noise;
+        chosen = true;
+        settled = false;
+        steps = BroydenSteps(parameters_, kFitRange);
+        step = steps.next(motions[noise_]);
+      }
+      result.covariance = assessment.covariances[noise_];
+      result.correlation = assessment.correlation;
+      result.share = assessment.share;
+    }
     result.warp = result.warp.after(Warp::exponential(step, radius_));
-    result.covariance = solution.covariance;
-    result.correlation = solution.correlation;
-    result.share = solution.share;
-    result.unevenness = solution.unevenness;
-    ++result.iterations;
-    const float length = solution.motion.norm();
     // In much noise there may be no place without an answer; one that is less than its error is as good.
-    if (std::max(step.norm(), length) < kFitConvergence ||
-        (k + 1 == kMaxFits && length < std::sqrt(solution.covariance.trace())))
+    if (settled || (is_last && length < std::sqrt(result.covariance.trace())))
     {
       result.status = TrackResult::Status::TRACKED;
+      return;
     }
   }
 }
@@ -338,12 +355,7 @@ SearchResult RegionTemplate::search(const cv::Mat& image, const Warp& start, std
   }
   if (fit_)
   {
-    fit(*fit_, image, result);
-    if (result.status == TrackResult::Status::TRACKED && result.unevenness < kEven)
-    {
-      // Nothing moves on its own: there is no need to do without what is smooth.
-      fit(*even_fit_, image, result);
-    }
+    fit(image, result);
     return result;
   }
   judgePoints(result);

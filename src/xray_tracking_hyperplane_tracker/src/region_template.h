@@ -37,7 +37,6 @@ struct SearchResult
   ParameterCovariance covariance;  ///< of the motion's parameters
   double correlation = 0.0;
   double share = 1.0;  ///< of the region that counted
-  double unevenness = 0.0;  ///< see RegionFit::Solution
   int iterations = 0;
 };
 
@@ -94,7 +93,7 @@ private:
   /// Differences of sampled_ from a level's template into differences_. @param outside number of points
   void compare(const Level& level, int outside);
   bool descend(const cv::Mat& image, const Level& level, float tolerance, SearchResult& result);
-  void fit(RegionFit& region_fit, const cv::Mat& image, SearchResult& result);
+  void fit(const cv::Mat& image, SearchResult& result);
   void judgePoints(SearchResult& result);
 
   HyperplaneTrackerOptions options_;
@@ -110,9 +109,9 @@ private:
   Box box_;
   DifferenceModel model_;
   std::vector<Level> levels_;
-  Texture texture_;  ///< of the finest level
-  std::optional<RegionFit> fit_;       ///< the last steps, which reckon with an overlay
-  std::optional<RegionFit> even_fit_;  ///< and those after them where there is none
+  Texture texture_;                            ///< of the finest level
+  std::optional<RegionFit> fit_;               ///< the last steps
+  RegionFit::Noise noise_ = RegionFit::WHITE;  ///< in the last image
 
   // Scratch memory of search().
   Eigen::ArrayXf sampled_;

@@ -117,7 +117,8 @@ TEST(HyperplaneTracker, trainingExposureHasNoDisplacement)
   HyperplaneTracker tracker = trainedTracker();
   const TrackResult& result = tracker.track(expose({}));
   EXPECT_EQ(result.status, TrackResult::Status::TRACKED);
-  EXPECT_LT(result.displacement.norm(), 1e-6);
+  // The template without noise, which is rounding to whole counts here, is not quite its image.
+  EXPECT_LT(result.displacement.norm(), 1e-4);
   EXPECT_GT(result.correlation, 0.999);
   EXPECT_GT((result.covariance.topLeftCorner<2, 2>().determinant()), 0.0);
   EXPECT_EQ(result.linear, Eigen::Matrix2d::Identity());

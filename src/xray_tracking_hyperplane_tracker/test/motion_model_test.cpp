@@ -125,7 +125,7 @@ TEST_P(EveryModel, isNotPulledByWhatCoversAQuarter)
     e.cover = cv::Rect(kRegion.x + i % 4 * 16, kRegion.y + i / 4 * 15, kRegion.width / 2, kRegion.height / 2);
     e.covering = i % 3 == 0 ? -0.4 : i % 3 == 1 ? 0.4 : 2.0;
     const TrackResult& result = tracker.track(expose(e));
-    EXPECT_TRUE(result.found()) << i << " st " << (int)result.status << " corr " << result.correlation << " q " << result.quality << " err " << (result.displacement - e.displacement).norm();
+    EXPECT_TRUE(result.found()) << i;
     worst = std::max(worst, (result.displacement - e.displacement).norm());
   }
   RecordProperty("worst_px", std::to_string(worst));
@@ -178,9 +178,9 @@ TEST_P(EveryModel, knowsItsCovariance)
     const Eigen::Vector2d error = result.displacement - truths[k].displacement;
     normalised += error.dot(result.covariance.topLeftCorner<2, 2>().inverse() * error);
   }
-  // Chi-square of two degrees of freedom has the variance 4. Bilinear sampling adds errors of 0.004 px to the noise's
-  // 0.03 px in both directions.
-  const double bound = 1.96 * std::sqrt(4.0 / kTrials) + 2.0 * std::pow(0.004 / 0.03, 2);
+  // Chi-square of two degrees of freedom has the variance 4. Bilinear sampling, without any noise, errs by up to 0.004
+  // px here, beside 0.025 px of the noise.
+  const double bound = 1.96 * std::sqrt(4.0 / kTrials) + 2.0 * std::pow(0.004 / 0.025, 2);
   RecordProperty("normalised_error", std::to_string(normalised / kTrials));
   EXPECT_NEAR(normalised / kTrials, 2.0, bound);
 }

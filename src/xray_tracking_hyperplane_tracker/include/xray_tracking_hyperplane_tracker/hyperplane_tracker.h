@@ -115,8 +115,8 @@ public:
 private:
   struct State;
 
-  /// Finds the template from a start into result_.
-  void search(const cv::Mat& image, const Warp& start);
+  /// Finds the template from a start into result_. @param only_near not by the coarse predictors
+  void search(const cv::Mat& image, const Warp& start, bool only_near);
   /// @param degraded whether the last result was
   TrackResult::Status judged(const SearchResult& found, bool degraded) const;
   void adopt(const SearchResult& found, TrackResult::Status status);

@@ -3,22 +3,14 @@
 #include <cmath>
 #include <limits>
 
-#include <time.h>
-
 #include "xray_tracking_core/evaluation/evaluation.h"
+#include "xray_tracking_core/stopwatch.h"
 
 namespace xray_tracking
 {
 namespace
 {
 constexpr int kTrainings = 3;
-
-double processorSeconds()
-{
-  timespec now;
-  clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &now);
-  return static_cast<double>(now.tv_sec) + 1e-9 * static_cast<double>(now.tv_nsec);
-}
 }  // namespace
 
 FollowScore follow(Contestant& contestant, const KnownSequence& sequence, double lost_error)
@@ -26,9 +18,9 @@ FollowScore follow(Contestant& contestant, const KnownSequence& sequence, double
   std::vector<double> training_s, tracking_s;
   for (int i = 0; i < kTrainings; ++i)
   {
-    const double start = processorSeconds();
+    const Stopwatch stopwatch;
     contestant.train(sequence.frames[0], sequence.view);
-    training_s.push_back(processorSeconds() - start);
+    training_s.push_back(stopwatch.cpuSeconds());
   }
 
   FollowScore score;
@@ -36,9 +28,9 @@ FollowScore follow(Contestant& contestant, const KnownSequence& sequence, double
   int found = 0;
   for (std::size_t k = 1; k < sequence.frames.size(); ++k)
   {
-    const double start = processorSeconds();
+    const Stopwatch stopwatch;
     const std::optional<Eigen::Vector2d> displacement = contestant.track(sequence.frames[k]);
-    tracking_s.push_back(processorSeconds() - start);
+    tracking_s.push_back(stopwatch.cpuSeconds());
     const double error =
         displacement ? (*displacement - sequence.displacements[k]).norm() : std::numeric_limits<double>::infinity();
     if (!(error <= lost_error))

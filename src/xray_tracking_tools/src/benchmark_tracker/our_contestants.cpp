@@ -39,10 +39,12 @@ void addOurs(MotionModel model, const IntensityModel& intensity, Contestants& co
   HyperplaneTrackerOptions hyperplane;
   hyperplane.model = model;
   add("hyperplane, " + shortName(model), std::make_unique<HyperplaneTracker>(hyperplane, intensity));
-  // Single pixels at random places, predictors alone.
+  // Single pixels at random places, predictors alone, white noise.
   hyperplane.points = 600;
   hyperplane.bin = 1;
   hyperplane.whole_region = false;
+  hyperplane.background = 0.0;
+  hyperplane.ranges = { 30.0, 12.0, 4.0, 1.5 };
   add("paper's hyperplane, " + shortName(model), std::make_unique<HyperplaneTracker>(hyperplane, intensity));
   if (model == MotionModel::TRANSLATION || model == MotionModel::EUCLIDEAN)
   {

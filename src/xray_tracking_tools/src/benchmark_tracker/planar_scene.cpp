@@ -4,6 +4,7 @@
 
 #include <Eigen/Geometry>
 #include <Eigen/LU>
+#include <opencv2/imgproc.hpp>
 
 #include "xray_tracking_core/sequence/treatment_setup.h"
 
@@ -17,12 +18,23 @@ constexpr double kLevel = 10000.0;
 /// Around the region [px]: room for jumps of 50 px.
 constexpr int kMargin = 80;
 
+/// Rays a pixel along columns and rows. Pixels are means over their area, as a detector's; samples of edges as sharp as
+/// the phantom's would not tell where between two pixels they are.
+constexpr int kRays = 3;
+
 /// Of the bones alone.
-cv::Mat lineIntegrals(const NeckPhantom& phantom, const DetectorDescription& detector, const RigidTransform& pose)
+cv::Mat lineIntegrals(const NeckPhantom& phantom, DetectorDescription detector, const RigidTransform& pose)
 {
-  cv::Mat soft, bone;
+  detector.pixel_pitch /= kRays;
+  const double first = -0.5 * (kRays - 1);
+  detector.origin += first * (detector.pixel_pitch.x() * detector.x_direction +
+                              detector.pixel_pitch.y() * detector.y_direction);
+  const cv::Size size(detector.image_size.x(), detector.image_size.y());
+  detector.image_size *= kRays;
+  cv::Mat soft, bone, pixels;
   phantom.lineIntegrals(ProjectionGeometry::fromDescription(detector), pose, pose, soft, bone);
-  return bone;
+  cv::resize(bone, pixels, size, 0.0, 0.0, cv::INTER_AREA);
+  return pixels;
 }
 
 /// A plate over a quarter of the region that crosses it somewhere; what it shows does not depend on what is behind it.
