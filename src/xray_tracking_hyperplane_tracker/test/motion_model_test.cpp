@@ -231,7 +231,7 @@ TEST_P(EveryModel, knowsWhenItIsWrong)
   HyperplaneTracker tracker = trained(reference);
   Random random(13);
   int wrong = 0, missed = 0, right = 0, alarms = 0;
-  for (int i = 0; i < 100; ++i)
+  for (int i = 0; i < 300; ++i)
   {
     Exposure e = random.motion(GetParam(), i % 2 == 0 ? 15.0 : 60.0);
     e.noise = 0.02 + 0.02 * std::abs(random(1.0));

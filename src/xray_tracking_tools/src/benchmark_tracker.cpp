@@ -77,7 +77,7 @@ BenchmarkTable benchmarkExposures(const std::string& path)
     const KnownSequence sequence = knownSequence(exposures, d);
     for (std::size_t i = 0; i < contestants.size(); ++i)
     {
-      const FollowScore score = follow(*contestants[i], sequence, kLostError);
+      const FollowScore score = follow(*contestants[i], { sequence }, kLostError);
       std::vector<double>& row = table.rows[i].second;
       row.insert(row.end(), { score.median_us, score.rmse, static_cast<double>(score.lost) });
     }

@@ -13,34 +13,36 @@ namespace
 constexpr int kTrainings = 3;
 }  // namespace
 
-FollowScore follow(Contestant& contestant, const KnownSequence& sequence, double lost_error)
+FollowScore follow(Contestant& contestant, const std::vector<KnownSequence>& sequences, double lost_error)
 {
   std::vector<double> training_s, tracking_s;
-  for (int i = 0; i < kTrainings; ++i)
-  {
-    const Stopwatch stopwatch;
-    contestant.train(sequence.frames[0], sequence.view);
-    training_s.push_back(stopwatch.cpuSeconds());
-  }
-
   FollowScore score;
   double squares = 0.0;
   int found = 0;
-  for (std::size_t k = 1; k < sequence.frames.size(); ++k)
+  for (const KnownSequence& sequence : sequences)
   {
-    const Stopwatch stopwatch;
-    const std::optional<Eigen::Vector2d> displacement = contestant.track(sequence.frames[k]);
-    tracking_s.push_back(stopwatch.cpuSeconds());
-    const double error =
-        displacement ? (*displacement - sequence.displacements[k]).norm() : std::numeric_limits<double>::infinity();
-    if (!(error <= lost_error))
+    for (int i = 0; i < kTrainings; ++i)
     {
-      ++score.lost;
-      contestant.restart();
-      continue;
+      const Stopwatch stopwatch;
+      contestant.train(sequence.frames[0], sequence.view);
+      training_s.push_back(stopwatch.cpuSeconds());
     }
-    ++found;
-    squares += error * error;
+    for (std::size_t k = 1; k < sequence.frames.size(); ++k)
+    {
+      const Stopwatch stopwatch;
+      const std::optional<Eigen::Vector2d> displacement = contestant.track(sequence.frames[k]);
+      tracking_s.push_back(stopwatch.cpuSeconds());
+      const double error =
+          displacement ? (*displacement - sequence.displacements[k]).norm() : std::numeric_limits<double>::infinity();
+      if (!(error <= lost_error))
+      {
+        ++score.lost;
+        contestant.restart();
+        continue;
+      }
+      ++found;
+      squares += error * error;
+    }
   }
   score.training_ms = 1e3 * quantile(training_s, 0.5);
   score.median_us = 1e6 * quantile(tracking_s, 0.5);
