@@ -70,7 +70,8 @@ struct HyperplaneTrackerOptions
 /// Tracking, eq. (1): with the current warp W, the difference i = f(W x) - f0(x) is what the template would give at
 /// m = log(W*^-1 W), W* the true warp, hence W <- W exp(-A i); predictors coarse to fine, each until its steps are
 /// short. The last steps use all pixels of the region (`whole_region`): Gauss-Newton on the template's derivatives,
-/// robust against what covers a part of the region, with a covariance from the scatter of the region's parts.
+/// robust against what covers a part of the region, with a covariance from the scatter of the region's parts; for white
+/// noise alone where what lies over the target is not seen to move otherwise.
 ///
 /// What must not move the estimate is taken out in the training, so that it costs nothing later:
 /// - brightness, contrast and slow shading: A times a constant, the template itself and the polynomials up to second
