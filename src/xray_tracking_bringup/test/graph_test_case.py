@@ -1,4 +1,5 @@
 """What the tests of the whole graph share."""
+import os
 import threading
 import time
 import unittest
@@ -6,8 +7,10 @@ import xmlrpc.client
 
 import numpy as np
 import rosgraph
+import rospkg
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray
+import yaml
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
@@ -159,6 +162,18 @@ class GraphTestCase(unittest.TestCase):
         start = rospy.ServiceProxy("/detector_simulator/start", Trigger)
         start.wait_for_service(60.0)
         self.wait_for(lambda: start().success, 60.0, "start of the simulator")
+
+    def phantom_errors_mm(self, exposures):
+        """Has the simulator make so many exposures of the phantom. @return their TRE"""
+        setup_path = os.path.join(rospkg.RosPack().get_path("xray_tracking_core"), "config", "phantom_neck.yaml")
+        with open(setup_path, encoding="utf-8") as file:
+            box = yaml.safe_load(file)["target_box_mm"]
+        self.wait_for_graph()
+        self.start_simulator()
+        self.wait_for(lambda: min(len(self.motions), len(self.poses), len(self.tf)) >= exposures, 90.0,
+                      "all exposures answered")
+        self.assertEqual(len(self.gold), exposures)
+        return self.errors_mm((box["min"], box["max"]))
 
     def errors_mm(self, box_mm):
         """TRE of every exposure, in order of time; fails if an exposure has no pose."""

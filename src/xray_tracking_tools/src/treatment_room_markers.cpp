@@ -122,6 +122,7 @@ std_msgs::ColorRGBA stateColour(std::uint8_t state)
   {
     case TrackedRegion::TRACKING:
       return kOpenColour;
+    case TrackedRegion::DEGRADED:
     case TrackedRegion::TRAINING:
       return colour(1.0F, 0.8F, 0.1F, 1.0F);
     default:
@@ -184,19 +185,28 @@ std::vector<Marker> staticMarkers(const TreatmentSetup& setup)
 
 std::vector<Marker> regionMarkers(const ProjectionGeometry& detector, int id, const TrackedRegion& region)
 {
+  const Eigen::Vector2d size(region.region.width, region.region.height);
+  const Eigen::Vector2d reference =
+      Eigen::Vector2d(region.region.x_offset, region.region.y_offset) + 0.5 * (size - Eigen::Vector2d::Ones());
   Eigen::Vector2d displacement(region.displacement_x, region.displacement_y);
-  if (region.state != TrackedRegion::TRACKING || !displacement.allFinite())
+  Eigen::Matrix2d linear = Eigen::Map<const Eigen::Matrix<double, 2, 2, Eigen::RowMajor>>(region.linear.data());
+  const bool found = region.state == TrackedRegion::TRACKING || region.state == TrackedRegion::DEGRADED;
+  if (!found || !displacement.allFinite() || !linear.allFinite())
   {
     displacement.setZero();
+    linear.setIdentity();
   }
-  const Eigen::Vector2d size(region.region.width, region.region.height);
-  const Eigen::Vector2d first = Eigen::Vector2d(region.region.x_offset, region.region.y_offset) + displacement;
-  const Eigen::Vector2d centre = first + 0.5 * (size - Eigen::Vector2d::Ones());
+  const Eigen::Vector2d centre = reference + displacement;
   const std_msgs::ColorRGBA rgba = stateColour(region.state);
 
   Marker outline = makeMarker("regions", id, Marker::LINE_STRIP, rgba);
   outline.scale.x = 0.0015;
-  addClosedLine(panelCorners(detector, first, size), outline);
+  std::vector<Eigen::Vector3d> corners;
+  for (const Eigen::Vector2d& sign : { Eigen::Vector2d(-1.0, -1.0), { 1.0, -1.0 }, { 1.0, 1.0 }, { -1.0, 1.0 } })
+  {
+    corners.push_back(detector.pixelPosition(centre + linear * (0.5 * size.cwiseProduct(sign))));
+  }
+  addClosedLine(corners, outline);
   Marker ray = makeRay("region_rays", id, detector, centre, rgba);
   if (region.state == TrackedRegion::UNTRAINED)
   {

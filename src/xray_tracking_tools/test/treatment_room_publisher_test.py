@@ -127,7 +127,8 @@ class TreatmentRoomPublisherTest(unittest.TestCase):
 
     def test_tracked_regions(self):
         for i, name in enumerate(self.detectors):
-            region = TrackedRegion(state=TrackedRegion.TRACKING, displacement_x=3.5, displacement_y=-2.25)
+            region = TrackedRegion(state=TrackedRegion.TRACKING, model=TrackedRegion.AFFINE, displacement_x=3.5,
+                                   displacement_y=-2.25, linear=[0.9, -0.2, 0.3, 1.1])
             region.region.x_offset, region.region.y_offset = 100, 120
             region.region.width, region.region.height = 51, 31
             self.region_publishers[name].publish(region)
@@ -137,8 +138,14 @@ class TreatmentRoomPublisherTest(unittest.TestCase):
             source, centre = self.points(*key)
             np.testing.assert_allclose(source, 1e-3 * self.detectors[name]["source_mm"], atol=1e-9)
             np.testing.assert_allclose(centre, self.pixel(name, 125 + 3.5, 135 - 2.25), atol=2e-6)
-            np.testing.assert_allclose(self.points("regions", i)[2], self.pixel(name, 150.5 + 3.5, 150.5 - 2.25),
-                                       atol=2e-6)
+            # The last corner, half of 51 x 31 px from the centre before the motion.
+            corner = (128.5 + 0.9 * 25.5 - 0.2 * 15.5, 132.75 + 0.3 * 25.5 + 1.1 * 15.5)
+            np.testing.assert_allclose(self.points("regions", i)[2], self.pixel(name, *corner), atol=2e-6)
+
+            region.state = TrackedRegion.DEGRADED
+            self.region_publishers[name].publish(region)
+            self.wait_for(lambda: self.markers[key].color.r > 0.5 and self.markers[key].color.g > 0.5, "yellow ray")
+            np.testing.assert_allclose(self.points("regions", i)[2], self.pixel(name, *corner), atol=2e-6)
 
             region.state, region.displacement_x = TrackedRegion.LOST, math.nan
             self.region_publishers[name].publish(region)
