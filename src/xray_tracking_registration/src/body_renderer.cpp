@@ -35,7 +35,8 @@ void castRays(const ProjectionGeometry& geometry, const PixelGrid& pixels, const
 }
 }  // namespace
 
-BodyRenderer::BodyRenderer(const ScalarVolume& volume, double footprint, Projector projector)
+BodyRenderer::BodyRenderer(const ScalarVolume& volume, double footprint, double smoothness, Projector projector)
+  : smoothness_(smoothness)
 {
   const ScalarVolume half = halved(volume);
   const Eigen::Vector3d variance = Eigen::Vector3d::Constant(footprint * footprint / 12.0);
@@ -58,8 +59,8 @@ const BodyRenderer::Level& BodyRenderer::suiting(const ProjectionGeometry& geome
                                                  const Eigen::Vector3d& centre) const
 {
   const double step = pixels.step.cwiseProduct(geometry.pixelPitch()).minCoeff() / geometry.magnification(centre);
-  const auto coarser =
-      std::find_if(levels_.rbegin(), levels_.rend(), [&](const Level& level) { return level.edge <= 1.001 * step; });
+  const auto coarser = std::find_if(levels_.rbegin(), levels_.rend(),
+                                    [&](const Level& level) { return level.edge <= 1.001 * smoothness_ * step; });
   return coarser == levels_.rend() ? levels_.front() : *coarser;
 }
 
