@@ -1,6 +1,7 @@
 #include "bodies.h"
 
 #include <stdexcept>
+#include <utility>
 
 #include "xray_tracking_core/volume/resampling.h"
 #include "xray_tracking_core/volume/target_mask.h"
@@ -39,22 +40,24 @@ Bodies::Bodies(const BodyModel& model, const Eigen::AlignedBox3d& target_box, do
   // The rest is a nuisance, and most of the voxels. As it deforms, which the model does not, a smooth one also fits the
   // better.
   ScalarVolume smooth = halved(one ? model.target : model.rest);
-  ends = CtEnds(smooth);
+  rest_ends = CtEnds(smooth);
   if (one)
   {
     const TargetMask mask = targetMaskFromBox(model.target.grid, target_box);
     ScalarVolume inside{ mask.grid, {} };
     forVoxels(model.target.grid, mask,
               [&](std::size_t offset, float weight) { inside.values.push_back(weight * model.target.values[offset]); });
-    target = std::make_unique<BodyRenderer>(inside, footprint, 1.0, projector);
+    target = std::make_unique<BodyRenderer>(std::move(inside), footprint, 1.0, projector);
     forVoxels(smooth.grid, targetMaskFromBox(smooth.grid, target_box),
               [&](std::size_t offset, float weight) { smooth.values[offset] *= 1.0f - weight; });
   }
   else
   {
+    // Its weight falls to zero within the CT, or else the CT ends there.
+    target_ends = CtEnds(model.target);
     target = std::make_unique<BodyRenderer>(model.target, footprint, 1.0, projector);
   }
   constexpr double kSmoothness = 2.0;
-  rest = std::make_unique<BodyRenderer>(smooth, footprint, kSmoothness, projector);
+  rest = std::make_unique<BodyRenderer>(std::move(smooth), footprint, kSmoothness, projector);
 }
 }  // namespace xray_tracking

@@ -23,6 +23,7 @@ struct Bodies
   std::unique_ptr<const BodyRenderer> rest;
   Eigen::Vector3d centre;  ///< of the target, patient frame [mm]
   bool one;                ///< poses are the same
-  CtEnds ends;             ///< of the rest, which is the larger one
+  CtEnds target_ends;
+  CtEnds rest_ends;
 };
 }  // namespace xray_tracking

@@ -35,4 +35,11 @@ private:
   Eigen::Affine3d index_from_patient_ = Eigen::Affine3d::Identity();
   std::vector<Face> faces_;
 };
+
+/// A volume's ends where it is.
+struct PlacedEnds
+{
+  const CtEnds& ends;
+  RigidTransform room_from_ct;
+};
 }  // namespace xray_tracking

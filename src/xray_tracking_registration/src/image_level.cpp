@@ -23,7 +23,7 @@ Eigen::VectorXf flattened(const cv::Mat& image)
 }  // namespace
 
 ViewLevel::ViewLevel(const ProjectionGeometry& geometry, const cv::Mat& attenuation, const cv::Rect& region,
-                     const Resolution& resolution, const CtEnds& ends, const RigidTransform& room_from_ct)
+                     const Resolution& resolution, const std::vector<PlacedEnds>& ends)
   : geometry_(&geometry)
 {
   const int bin = std::max(1, static_cast<int>(std::lround(resolution.bin_mm / geometry.pixelPitch().mean())));
@@ -49,7 +49,7 @@ ViewLevel::ViewLevel(const ProjectionGeometry& geometry, const cv::Mat& attenuat
   cv::Mat binned;
   cv::resize(attenuation(cv::Rect(bordered.x * bin, bordered.y * bin, bordered.width * bin, bordered.height * bin)),
              binned, bordered.size(), 0.0, 0.0, cv::INTER_AREA);
-  leaveOutCtEnds(ends, room_from_ct);
+  leaveOut(ends);
   measured_image_ = highPassed(binned).clone();
   measured_ = flattened(measured_image_);
   if (normalise(measured_) == 0.0f)
@@ -58,18 +58,21 @@ ViewLevel::ViewLevel(const ProjectionGeometry& geometry, const cv::Mat& attenuat
   }
 }
 
-void ViewLevel::leaveOutCtEnds(const CtEnds& ends, const RigidTransform& room_from_ct)
+void ViewLevel::leaveOut(const std::vector<PlacedEnds>& ends)
 {
-  const RigidTransform ct_from_room = room_from_ct.inverse();
   cv::Mat inside(grid_.size.y(), grid_.size.x(), CV_32FC1, 1.0f);
-  for (int row = 0; row < inside.rows; ++row)
+  for (const PlacedEnds& placed : ends)
   {
-    for (int column = 0; column < inside.cols; ++column)
+    const RigidTransform ct_from_room = placed.room_from_ct.inverse();
+    for (int row = 0; row < inside.rows; ++row)
     {
-      const Ray ray = geometry_->backProject(grid_.first + Eigen::Vector2d(column, row).cwiseProduct(grid_.step));
-      if (ends.cut({ ct_from_room * ray.source, ct_from_room.linear() * ray.direction }))
+      for (int column = 0; column < inside.cols; ++column)
       {
-        inside.at<float>(row, column) = 0.0f;
+        const Ray ray = geometry_->backProject(grid_.first + Eigen::Vector2d(column, row).cwiseProduct(grid_.step));
+        if (placed.ends.cut({ ct_from_room * ray.source, ct_from_room.linear() * ray.direction }))
+        {
+          inside.at<float>(row, column) = 0.0f;
+        }
       }
     }
   }

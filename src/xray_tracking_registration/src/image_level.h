@@ -47,12 +47,11 @@ public:
 
   /// @param attenuation whole image
   /// @param region pixels to compare [px]
-  /// @param ends of the CT, at the pose `room_from_ct`: what lies behind them does not count
+  /// @param ends of the CT: what lies behind them does not count
   /// @throws std::invalid_argument naming the view: region outside the image or too small, constant image, a CT that
   ///         ends before half of the region is seen
   ViewLevel(const ProjectionGeometry& geometry, const cv::Mat& attenuation, const cv::Rect& region,
-            const Resolution& resolution, const CtEnds& ends = CtEnds(),
-            const RigidTransform& room_from_ct = RigidTransform::Identity());
+            const Resolution& resolution, const std::vector<PlacedEnds>& ends = {});
 
   const ProjectionGeometry& geometry() const { return *geometry_; }
   /// Measured image, high-passed, mean 0, norm 1; row by row.
@@ -69,7 +68,7 @@ public:
   const cv::Mat& measuredImage() const { return measured_image_; }
 
 private:
-  void leaveOutCtEnds(const CtEnds& ends, const RigidTransform& room_from_ct);
+  void leaveOut(const std::vector<PlacedEnds>& ends);
   cv::Mat highPassed(const cv::Mat& image) const;
   /// Brings to mean 0 and norm 1 over the valid pixels; 0 if there is nothing but rounding. @return the norm
   float normalise(Eigen::VectorXf& image) const;

@@ -4,6 +4,8 @@
 #include <cmath>
 #include <stdexcept>
 
+#include "xray_tracking_core/evaluation/evaluation.h"
+
 #include "derivative_free.h"
 #include "gauss_newton.h"
 #include "image_level.h"
@@ -25,7 +27,7 @@ constexpr Descent kTogether{ 12, 3e-3 };
 constexpr Descent kApart{ 8, 3e-3 };
 constexpr Descent kFinish{ 15, 1e-4 };
 constexpr Descent kTry{ 6, 1e-2 };
-constexpr Descent kPart{ 4, 1e-3 };  // to see whether one body would rather be two
+constexpr Descent kPart{ 8, 1e-3 };  // to see whether one body would rather be two
 
 /// How far the rest may have moved against the target since the start: weak, a standard deviation of 4 degrees and 5
 /// mm.
@@ -218,6 +220,7 @@ private:
   std::vector<ViewLevel> makeViews(const Run& run, const PosePair& poses, const Resolution& resolution,
                                    double finest = 0.5) const
   {
+    const std::vector<PlacedEnds> ends{ { bodies_->target_ends, poses.target }, { bodies_->rest_ends, poses.rest } };
     std::vector<ViewLevel> views;
     for (std::size_t v = 0; v < run.attenuation.size(); ++v)
     {
@@ -225,8 +228,7 @@ private:
       // Not far below the size in which the CT's voxels appear on the detector: there is only noise to compare.
       const double voxel = finest * voxel_edge_ * view.geometry.magnification(poses.target * bodies_->centre);
       const Resolution able{ std::max(resolution.bin_mm, voxel), std::max(resolution.highpass_mm, voxel) };
-      views.emplace_back(view.geometry, run.attenuation[v], region(view, poses.target), able, bodies_->ends,
-                         poses.rest);
+      views.emplace_back(view.geometry, run.attenuation[v], region(view, poses.target), able, ends);
     }
     return views;
   }
@@ -324,8 +326,7 @@ private:
     {
       PosePair apart = poses;
       gaussNewton(fine, *bodies_, Moving::BOTH, prior, kPart, run.control, apart);
-      const Eigen::Vector3d& centre = bodies_->centre;
-      const double parted = (apart.target * centre - poses.target * centre).norm();
+      const double parted = targetRegistrationError(apart.target, poses.target, box_);
       if (parted > kMaxParted)
       {
         outcome.doubt = message("two bodies would have the target ", parted, " mm elsewhere, above ", kMaxParted);

@@ -113,8 +113,9 @@ TEST(ImageLevel, LeavesOutWhereTheCtEnds)
   const ProjectionGeometry& geometry = phantom.views()[0];
   cv::Mat image(512, 512, CV_32FC1);
   cv::randu(image, 0.0, 1.0);
-  const ViewLevel level(geometry, image, cv::Rect(100, 180, 312, 150), { 1.6, 1.6 }, CtEnds(cube),
-                        phantom.roomFromPatient());
+  const CtEnds ends(cube);
+  const ViewLevel level(geometry, image, cv::Rect(100, 180, 312, 150), { 1.6, 1.6 },
+                        { { ends, phantom.roomFromPatient() } });
   int judged = 0;
   for (int row = 0; row < level.size().height; ++row)
   {
@@ -141,7 +142,7 @@ TEST(ImageLevel, LeavesOutWhereTheCtEnds)
   EXPECT_NEAR(level.measured().norm(), 1.0f, 1e-5f);
   EXPECT_NEAR(level.measured().sum(), 0.0f, 1e-3f);
   // A cube that ends in air by itself has none.
-  EXPECT_FALSE(CtEnds(cube).cut({ Eigen::Vector3d(0.0, -2600.0, 0.0), Eigen::Vector3d::UnitY() }));
+  EXPECT_FALSE(ends.cut({ Eigen::Vector3d(0.0, -2600.0, 0.0), Eigen::Vector3d::UnitY() }));
 }
 
 TEST(ImageLevel, NamesViewOfARegionThatCannotBeCompared)

@@ -17,12 +17,12 @@ namespace xray_tracking
 class BodyRenderer
 {
 public:
-  /// @param volume attenuation [1/mm]; not needed afterwards
+  /// @param volume attenuation [1/mm]; moved in, as it is held twice for a while
   /// @param footprint edge of the smallest bins that will be asked for, at the volume [mm]: the finest resolution is
   ///        smoothed as such bins smooth; coarser ones are halved, as long as their bins can be
   /// @param projector what render() uses
   /// @param smoothness finest voxel edge that will do, in grid steps at the volume
-  BodyRenderer(const ScalarVolume& volume, double footprint, double smoothness, Projector projector);
+  BodyRenderer(ScalarVolume volume, double footprint, double smoothness, Projector projector);
 
   /// Line integrals at the grid's points and their derivatives by the twist of motionAbout(centre, twist) *
   /// room_from_body at zero, from the coarsest volume whose finest voxel edge is not above `smoothness` grid steps at
