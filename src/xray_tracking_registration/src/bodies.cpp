@@ -57,7 +57,7 @@ Bodies::Bodies(const BodyModel& model, const Eigen::AlignedBox3d& target_box, do
     target_ends = CtEnds(model.target);
     target = std::make_unique<BodyRenderer>(model.target, footprint, 1.0, projector);
   }
-  constexpr double kSmoothness = 2.0;
+  constexpr double kSmoothness = 1.5;
   rest = std::make_unique<BodyRenderer>(std::move(smooth), footprint, kSmoothness, projector);
 }
 }  // namespace xray_tracking

@@ -35,13 +35,17 @@ const Twist kRestInformation =
     (Twist() << Eigen::Vector3d::Constant(205.0), Eigen::Vector3d::Constant(0.04)).finished();
 /// Views as similar as this at the start are near enough for the fine level alone.
 constexpr double kNearlyThere = 0.5;
+/// Views as similar as this show no other vertebra.
+constexpr double kSure = 0.72;
+constexpr double kNeighbour = 18.0;  // where another vertebra is looked for, along the patient's long axis [mm]
 /// What two bodies may differ by from one body that is believed [mm].
 constexpr double kMaxParted = 0.8;
 
 // Where to start again if the first try fails: this far from the start along and about each axis of the room.
 constexpr double kRetryTranslation = 7.0;  // [mm]
 constexpr double kRetryRotation = 4.0 * M_PI / 180.0;
-constexpr std::size_t kRetries = 3;  // that are followed to the end
+constexpr std::size_t kRetries = 3;      // that are followed to the end
+constexpr double kRetriedMargin = 0.03;  // above the least similarity
 
 /// Where one descent ended.
 struct Outcome
@@ -178,9 +182,16 @@ private:
     }
     if (!best.doubt.empty() && options_.optimiser == Optimiser::GAUSS_NEWTON)
     {
+      // The more places are tried, the more of them look right by chance.
+      RegistrationOptions demanding = options_;
+      demanding.min_similarity = std::min(1.0, options_.min_similarity + kRetriedMargin);
       for (const PosePair& other : otherStarts(run, start))
       {
         Outcome outcome = descend(run, other, false);
+        if (outcome.doubt.empty())
+        {
+          outcome.doubt = doubt(outcome.views, outcome.covariance, demanding);
+        }
         if (outcome.similarity > best.similarity)
         {
           best = std::move(outcome);
@@ -190,6 +201,10 @@ private:
           break;
         }
       }
+    }
+    if (best.doubt.empty() && options_.optimiser == Optimiser::GAUSS_NEWTON)
+    {
+      best.doubt = doubtByNeighbours(run, best);
     }
     result.room_from_patient = best.poses.target;
     if (!bodies_->one)
@@ -336,6 +351,34 @@ private:
 
   /// What moves while both bodies move as one.
   Moving together() const { return moving_ == Moving::TARGET ? moving_ : Moving::TOGETHER; }
+
+  /// Why another vertebra may be the target; empty if there is none within bounds that is as much alike. Where all
+  /// views are alike beyond doubt none is looked for.
+  std::string doubtByNeighbours(const Run& run, const Outcome& outcome) const
+  {
+    const double alike = leastSimilarity(outcome.views);
+    for (const double side : { -kNeighbour, kNeighbour })
+    {
+      if (alike >= kSure || run.control.stop() != RunControl::Stop::NONE)
+      {
+        return "";
+      }
+      Twist step = Twist::Zero();
+      step.tail<3>() = side * outcome.poses.target.linear().col(2);
+      const PosePair start = moved(outcome.poses, step, bodies_->centre, together());
+      if (!run.control.inBounds(start.target))
+      {
+        continue;
+      }
+      const Outcome there = descend(run, start, false);
+      const double apart = targetRegistrationError(there.poses.target, outcome.poses.target, box_);
+      if (!there.views.empty() && apart > kMaxParted && leastSimilarity(there.views) > alike - kRetriedMargin)
+      {
+        return message("a place ", apart, " mm away is as much alike");
+      }
+    }
+    return "";
+  }
 
   /// Starts around the given one, the most promising first, each as far as a few coarse iterations bring it.
   std::vector<PosePair> otherStarts(const Run& run, const PosePair& start) const

@@ -63,6 +63,25 @@ Eigen::Matrix<double, 6, 6> poseCovariance(const std::vector<ViewLevel>& views, 
   return kCalibration * sum;
 }
 
+namespace
+{
+/// Of another vertebra either one may be high.
+double bothSimilarities(const ViewResidual& view)
+{
+  return std::sqrt(std::max(0.0, view.coarse_similarity) * std::max(0.0, view.similarity));
+}
+}  // namespace
+
+double leastSimilarity(const std::vector<ViewResidual>& views)
+{
+  double least = 1.0;
+  for (const ViewResidual& view : views)
+  {
+    least = std::min(least, bothSimilarities(view));
+  }
+  return least;
+}
+
 std::string doubt(const std::vector<ViewResidual>& views, const Eigen::Matrix<double, 6, 6>& covariance,
                   const RegistrationOptions& options)
 {
@@ -73,8 +92,7 @@ std::string doubt(const std::vector<ViewResidual>& views, const Eigen::Matrix<do
     {
       return message("coarse similarity of view ", v, " is ", coarse, ", below ", options.min_coarse_similarity);
     }
-    // Of another vertebra either one may be high.
-    const double both = std::sqrt(std::max(0.0, coarse) * std::max(0.0, views[v].similarity));
+    const double both = bothSimilarities(views[v]);
     if (!(both >= options.min_similarity))
     {
       return message("similarity of view ", v, " is ", both, ", below ", options.min_similarity);

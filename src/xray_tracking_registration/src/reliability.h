@@ -15,6 +15,9 @@ Eigen::Matrix<double, 6, 6> poseCovariance(const std::vector<ViewLevel>& views, 
 std::vector<ViewResidual> viewResiduals(const std::vector<ViewLevel>& views, const Linearisation& at,
                                         const Eigen::Vector3d& room_centre);
 
+/// The least of all views' geometric means of similarity and coarse similarity, 0 to 1.
+double leastSimilarity(const std::vector<ViewResidual>& views);
+
 /// Why a pose with these figures is not to be believed; empty if nothing speaks against it.
 std::string doubt(const std::vector<ViewResidual>& views, const Eigen::Matrix<double, 6, 6>& covariance,
                   const RegistrationOptions& options);

@@ -81,7 +81,9 @@ struct RegistrationRequest
   /// Start of the rest, relative to the target, in the patient frame: room_from_rest = room_from_patient *
   /// target_from_rest. Best the last exposure's result.
   RigidTransform target_from_rest = RigidTransform::Identity();
-  double max_translation_mm = 30.0;  ///< of the target's centre from the start, > 0 [mm]
+  /// Of the target's centre from the start, > 0 [mm]. The tighter the better: from 18 mm on the next vertebra is a
+  /// candidate, and what is not unlike it is doubted.
+  double max_translation_mm = 30.0;
   double max_rotation_rad = 0.26;    ///< from the start, > 0, at most pi [rad]
   std::chrono::duration<double> time_budget{ 5.0 };
   /// Called before every rendering of a pose, from run()'s thread; returns whether to go on. May be empty.
