@@ -37,7 +37,8 @@ const Twist kRestInformation =
 constexpr double kNearlyThere = 0.5;
 /// Views as similar as this show no other vertebra.
 constexpr double kSure = 0.72;
-constexpr double kNeighbour = 18.0;  // where another vertebra is looked for, along the patient's long axis [mm]
+constexpr double kNeighbour = 18.0;    // where another vertebra is looked for, along the patient's long axis [mm]
+constexpr double kMuchFarther = 12.0;  // from the start than what was found: the start itself speaks against it [mm]
 /// What two bodies may differ by from one body that is believed [mm].
 constexpr double kMaxParted = 0.8;
 
@@ -352,7 +353,8 @@ private:
   /// What moves while both bodies move as one.
   Moving together() const { return moving_ == Moving::TARGET ? moving_ : Moving::TOGETHER; }
 
-  /// Why another vertebra may be the target; empty if there is none within bounds that is as much alike. Where all
+  /// Why another vertebra may be the target; empty if there is none within bounds, not much farther from the
+  /// start, that is as much alike. Where all
   /// views are alike beyond doubt none is looked for.
   std::string doubtByNeighbours(const Run& run, const Outcome& outcome) const
   {
@@ -366,7 +368,8 @@ private:
       Twist step = Twist::Zero();
       step.tail<3>() = side * outcome.poses.target.linear().col(2);
       const PosePair start = moved(outcome.poses, step, bodies_->centre, together());
-      if (!run.control.inBounds(start.target))
+      const double found = run.control.distance(outcome.poses.target);
+      if (!run.control.inBounds(start.target) || run.control.distance(start.target) > found + kMuchFarther)
       {
         continue;
       }

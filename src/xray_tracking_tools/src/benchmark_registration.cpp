@@ -1,4 +1,5 @@
 #include <sys/resource.h>
+#include <algorithm>
 #include <chrono>
 #include <iostream>
 #include <limits>
@@ -7,6 +8,7 @@
 #include <stdexcept>
 
 #include <boost/math/constants/constants.hpp>
+#include <opencv2/imgcodecs.hpp>
 
 #include "xray_tracking_core/evaluation/evaluation.h"
 #include "xray_tracking_core/volume/neck_phantom.h"
@@ -144,6 +146,49 @@ Subject phantomSubject(int count, const PhantomCase& what)
     progress(n + 1, count);
   }
   return subject;
+}
+
+/// Draws the CT's axial and sagittal slice through the target's centre, the mask's weight in red, the box in yellow.
+void drawMask(const Subject& subject, const TargetMask& mask, const std::string& path)
+{
+  constexpr double kPixel = 0.5;  // [mm]
+  constexpr int kEdge = 280;
+  const Eigen::Affine3d ct_index = subject.ct.grid.patient_from_index.inverse();
+  const Eigen::Affine3d mask_index = mask.grid.patient_from_index.inverse();
+  const auto voxel = [](const VolumeGrid& grid, const Eigen::Vector3d& index)
+  {
+    const Eigen::Vector3i nearest = index.array().round().cast<int>();
+    const bool inside = nearest.minCoeff() >= 0 && (nearest.array() < grid.size.array()).all();
+    return inside ? static_cast<std::ptrdiff_t>(grid.offset(nearest.x(), nearest.y(), nearest.z())) : -1;
+  };
+  cv::Mat picture(kEdge, 2 * kEdge, CV_8UC3);
+  for (int row = 0; row < kEdge; ++row)
+  {
+    for (int column = 0; column < 2 * kEdge; ++column)
+    {
+      const double across = kPixel * (column % kEdge - kEdge / 2);
+      const double down = kPixel * (row - kEdge / 2);
+      const Eigen::Vector3d point = subject.box().center() + (column < kEdge ? Eigen::Vector3d(across, down, 0.0)
+                                                                             : Eigen::Vector3d(0.0, across, -down));
+      const std::ptrdiff_t in_ct = voxel(subject.ct.grid, ct_index * point);
+      const std::ptrdiff_t in_mask = voxel(mask.grid, mask_index * point);
+      const double grey = in_ct < 0 ? 0.0 : std::clamp((subject.ct.hu[in_ct] + 300.0) / 1200.0, 0.0, 1.0);
+      const double weight = in_mask < 0 ? 0.0 : mask.values[in_mask];
+      Eigen::AlignedBox3d inner = subject.box();
+      inner.min().array() += kPixel;
+      inner.max().array() -= kPixel;
+      const bool edge = subject.box().contains(point) && !inner.contains(point);
+      picture.at<cv::Vec3b>(row, column) =
+          edge ? cv::Vec3b(0, 220, 220)
+               : cv::Vec3b(cv::saturate_cast<std::uint8_t>(255.0 * grey * (1.0 - 0.6 * weight)),
+                           cv::saturate_cast<std::uint8_t>(255.0 * grey * (1.0 - 0.6 * weight)),
+                           cv::saturate_cast<std::uint8_t>(255.0 * (grey + 0.35 * weight * (1.0 - grey))));
+    }
+  }
+  if (!cv::imwrite(path, picture))
+  {
+    throw std::runtime_error("cannot write " + path);
+  }
 }
 
 /// One registration.
@@ -370,6 +415,10 @@ int benchmarkRegistration(const po::variables_map& arguments)
   }
   Subject subject = phantom ? phantomSubject(kPhantomExposures, phantom_case)
                             : sequenceSubject(arguments["SEQUENCE_DIR"].as<std::string>());
+  if (arguments.count("mask_picture") != 0)
+  {
+    drawMask(subject, targetMaskFromBone(subject.ct, subject.box()), arguments["mask_picture"].as<std::string>());
+  }
   const Registration registration(
       bodies == 1 ? oneBody(subject.ct) : splitBodies(subject.ct, targetMaskFromBone(subject.ct, subject.box())),
       subject.box(), options);
@@ -399,7 +448,7 @@ int main(int argc, char** argv)
   command_line.usage =
       "SEQUENCE_DIR | --phantom [--target c4] [--room cyberknife] [--voxel 1] [--rest_mm 4] [--rest_degrees 2]\n"
       "       [--bodies 2] [--starts 200] [--optimiser gauss_newton]\n"
-      "       [--similarity gradient_correlation] [--projector shear_warp] [--json FILE]";
+      "       [--similarity gradient_correlation] [--projector shear_warp] [--mask_picture FILE] [--json FILE]";
   command_line.description =
       "Registers every exposure from wrong starts, as van de Kraats et al. (IEEE TMI 24(9), 2005): success by the "
       "start's\n"
@@ -419,6 +468,7 @@ int main(int argc, char** argv)
       "similarity", po::value<std::string>()->default_value("gradient_correlation"),
       "of the derivative-free optimisers")("projector", po::value<std::string>()->default_value("shear_warp"),
                                            "shear_warp, ray_casting or attenuation_field")(
+      "mask_picture", po::value<std::string>(), "draws the target's mask to this image file")(
       "json", po::value<std::string>(), "writes the figures to this file");
   return xray_tracking::runCommand(argc, argv, command_line, xray_tracking::benchmarkRegistration);
 }

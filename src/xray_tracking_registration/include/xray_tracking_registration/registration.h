@@ -81,8 +81,8 @@ struct RegistrationRequest
   /// Start of the rest, relative to the target, in the patient frame: room_from_rest = room_from_patient *
   /// target_from_rest. Best the last exposure's result.
   RigidTransform target_from_rest = RigidTransform::Identity();
-  /// Of the target's centre from the start, > 0 [mm]. The tighter the better: from 18 mm on the next vertebra is a
-  /// candidate, and what is not unlike it is doubted.
+  /// Of the target's centre from the start, > 0 [mm]. The tighter the better: beyond 18 mm the next vertebra is in
+  /// question too.
   double max_translation_mm = 30.0;
   double max_rotation_rad = 0.26;    ///< from the start, > 0, at most pi [rad]
   std::chrono::duration<double> time_budget{ 5.0 };
