@@ -18,6 +18,9 @@ constexpr int kTiles = 4;  // along either edge of a view's region
 // on exact X-rays of the phantom and on real anatomy, where it is alike.
 constexpr double kCalibration = 2.5;
 
+// Of what is fine, whatever the coarse similarity: a few millimetres off the latter is still high.
+constexpr double kLeastSimilarity = 0.52;
+
 /// Normal equations of one tile of a view.
 NormalEquations tileEquations(const ViewLevel& view, const ViewModel& model, const Eigen::VectorXf& weights,
                               const cv::Rect& tile)
@@ -91,6 +94,10 @@ std::string doubt(const std::vector<ViewResidual>& views, const Eigen::Matrix<do
     if (!(coarse >= options.min_coarse_similarity))
     {
       return message("coarse similarity of view ", v, " is ", coarse, ", below ", options.min_coarse_similarity);
+    }
+    if (!(views[v].similarity >= kLeastSimilarity))
+    {
+      return message("similarity of view ", v, " is ", views[v].similarity, ", below ", kLeastSimilarity);
     }
     const double both = bothSimilarities(views[v]);
     if (!(both >= options.min_similarity))
