@@ -126,6 +126,21 @@ class GraphTestCase(unittest.TestCase):
             topics[f"/{name}/tracked_region"] = ["/motion_estimation", me]
         self.wait_for_subscribers(topics)
 
+    def wait_for_listeners(self, node, topics):
+        """Until messages of `node` reach, over a connection that stands, whom they must; topics as above."""
+        master = rosgraph.Master(rospy.get_name())
+        wanted = {(topic, listener) for topic, listeners in topics.items() for listener in listeners}
+
+        def ready():
+            try:
+                server = xmlrpc.client.ServerProxy(master.lookupNode(node))
+                entries = server.getBusInfo(rospy.get_name())[2]
+            except (rosgraph.MasterException, OSError):
+                return False
+            return wanted <= {(entry[4], entry[1]) for entry in entries if entry[2] == "o"}
+
+        self.wait_for(ready, 60.0, f"{node} reaches {topics}")
+
     def start_simulator(self):
         start = rospy.ServiceProxy("/detector_simulator/start", Trigger)
         start.wait_for_service(60.0)

@@ -51,6 +51,14 @@ Message xyzMsg(const Eigen::Vector3d& millimetres)
   return message;
 }
 
+/// Factors of (translation, rotation vector).
+Eigen::Matrix<double, 6, 1> poseUnit(double length)
+{
+  Eigen::Matrix<double, 6, 1> unit = Eigen::Matrix<double, 6, 1>::Ones();
+  unit.head<3>() *= length;
+  return unit;
+}
+
 geometry_msgs::Quaternion quaternionMsg(const RigidTransform& transform)
 {
   const Eigen::Quaterniond rotation = Eigen::Quaterniond(transform.linear()).normalized();
@@ -193,11 +201,19 @@ geometry_msgs::PoseWithCovariance poseWithCovarianceMsg(const RigidTransform& tr
 {
   geometry_msgs::PoseWithCovariance message;
   message.pose = poseMsgFromRigid(transform);
-  Eigen::Matrix<double, 6, 1> unit = Eigen::Matrix<double, 6, 1>::Ones();
-  unit.head<3>() /= kMillimetresPerMetre;
+  const Eigen::Matrix<double, 6, 1> unit = poseUnit(1.0 / kMillimetresPerMetre);
   Eigen::Map<Eigen::Matrix<double, 6, 6, Eigen::RowMajor>>(message.covariance.data()) =
       unit.asDiagonal() * covariance * unit.asDiagonal();
   return message;
+}
+
+Eigen::Matrix<double, 6, 6> covarianceFromPoseMsg(const geometry_msgs::PoseWithCovariance& message)
+{
+  const Eigen::Map<const Eigen::Matrix<double, 6, 6, Eigen::RowMajor>> covariance(message.covariance.data());
+  if (!covariance.allFinite())
+    refuse("covariance", covariance, "finite numbers");
+  const Eigen::Matrix<double, 6, 1> unit = poseUnit(kMillimetresPerMetre);
+  return unit.asDiagonal() * covariance * unit.asDiagonal();
 }
 
 boost::array<double, 9> covarianceMsgFromMillimetres(const Eigen::Matrix3d& covariance)

@@ -96,6 +96,10 @@ TEST(Conversions, CovarianceIsInMetresAndRadians)
   EXPECT_DOUBLE_EQ(message.covariance[5], 6.0e-3);    // x, rotation z: mm rad
   EXPECT_DOUBLE_EQ(message.covariance[30], 31.0e-3);  // rotation z, x
   EXPECT_DOUBLE_EQ(message.covariance[35], 36.0);     // rotation z: rad^2
+  EXPECT_TRUE(covarianceFromPoseMsg(message).isApprox(covariance, 1e-15));
+  geometry_msgs::PoseWithCovariance bad = message;
+  bad.covariance[7] = std::numeric_limits<double>::quiet_NaN();
+  EXPECT_THROW(covarianceFromPoseMsg(bad), std::invalid_argument);
   const auto block = covarianceMsgFromMillimetres(covariance.topLeftCorner<3, 3>());
   EXPECT_DOUBLE_EQ(block[1], 2.0e-6);
   EXPECT_DOUBLE_EQ(block[3], 7.0e-6);

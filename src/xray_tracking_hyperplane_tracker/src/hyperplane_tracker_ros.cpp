@@ -198,6 +198,8 @@ void HyperplaneTrackerRos::process(const Arrival& arrival)
   }
   TrackedRegion result;
   result.header = arrival.image->header;
+  result.model = TrackedRegion::TRANSLATION;
+  result.linear = { 1.0, 0.0, 0.0, 1.0 };
   const std::string fault = answer(arrival.image, result);
   result.cpu_time = ros::Duration(threadCpuSeconds() - cpu_start);
   result.wall_time = ros::Duration((ros::SteadyTime::now() - arrival.time).toSec());
@@ -296,7 +298,9 @@ void HyperplaneTrackerRos::track(const cv::Mat& image, TrackedRegion& result)
     result.state = TrackedRegion::TRACKING;
     result.displacement_x = track.displacement.x();
     result.displacement_y = track.displacement.y();
-    Eigen::Map<Eigen::Matrix<double, 2, 2, Eigen::RowMajor>>(result.covariance.data()) = track.covariance;
+    Eigen::Map<Eigen::Matrix<double, 6, 6, Eigen::RowMajor>>(result.covariance.data()).topLeftCorner<2, 2>() =
+        track.covariance;
+    result.quality = std::max(0.0, track.correlation);
   }
 }
 

@@ -43,21 +43,28 @@ void MotionEstimationRos::timerCb(const ros::SteadyTimerEvent&)
 {
   const ros::SteadyTime now = ros::SteadyTime::now();
   const auto quiet = [&](const View& view)
-  { return (now - std::max(view.last_arrival, first_arrival_)).toSec() > view_timeout_; };
+  { return (now - std::max(view.last_arrival, first_arrival_)).toSec() > parameters_.view_timeout; };
   const bool any_arrives = !first_arrival_.isZero() && !std::all_of(views_.begin(), views_.end(), quiet);
-  for (View& view : views_)
+  for (std::size_t i = 0; i < views_.size(); ++i)
   {
+    View& view = views_[i];
     const bool silent = any_arrives && quiet(view);
     if (silent && !view.silent)
     {
       ROS_WARN_STREAM("nothing arrives on " << view.tracked_region_subscriber.getTopic()
-                                            << " while other detectors send: no pose until it does");
+                                            << " while other detectors send: "
+                                            << (views_.size() > 2 ? "it is not waited for" : "no pose until it does"));
     }
-    view.silent = silent;
+    setSilent(i, silent);
     if (view.camera_info.fault() != view.logged_fault)
     {
       view.logged_fault = view.camera_info.fault();
       ROS_ERROR_STREAM_COND(!view.logged_fault.empty(), "no pose: " << view.name << ": " << view.logged_fault);
+    }
+    if (last_motion_ && last_motion_->state == PatientMotion::OK && view.doubt.reason != view.logged_doubt)
+    {
+      view.logged_doubt = view.doubt.reason;
+      ROS_WARN_STREAM_COND(!view.logged_doubt.empty(), "poses from the other views: " << view.logged_doubt);
     }
   }
   // What is waited for changes within that state. Other reasons have numbers that differ from exposure to exposure.
@@ -105,6 +112,10 @@ void MotionEstimationRos::diagnose(diagnostic_updater::DiagnosticStatusWrapper& 
     {
       status.mergeSummary(DiagnosticStatus::WARN, view.name + " is silent");
     }
+    if (last_motion_ && last_motion_->state == PatientMotion::OK && view.doubt.state != PatientMotion::OK)
+    {
+      status.mergeSummary(DiagnosticStatus::WARN, view.doubt.reason);
+    }
     if (!view.camera_info.fault().empty())
     {
       status.mergeSummary(DiagnosticStatus::ERROR, view.name + ": " + view.camera_info.fault());
@@ -118,15 +129,25 @@ void MotionEstimationRos::diagnose(diagnostic_updater::DiagnosticStatusWrapper& 
   exposures_at_last_diagnosis_ = exposures_;
   status.add("exposures", exposures_);
   status.add("poses", poses_);
+  status.add("exposures waiting for a view", assembler_->pending());
   status.add("exposures dropped, a view missing", assembler_->incomplete());
   status.add("duplicates dropped", assembler_->duplicates());
   status.add("late messages dropped", assembler_->late());
+  status.add("observability", observability_);
+  status.add("beam gate", std::string(gateReasonName(gate_->gate().reason())) + ": " + gate_->gate().text());
+  status.add("refinements asked for", refinement_->requests());
+  status.add("refinements accepted", refinement_->accepted());
+  status.add("refinements refused", refinement_->refused());
+  status.add("refinements without an answer", refinement_->timeouts());
+  status.add("refinements not asked for, one under way", refinement_->unheard());
+  status.add("last refusal", refinement_->lastRefusal());
   if (last_motion_)
   {
     status.add("since the last exposure [s]", (now - last_exposure_).toSec());
     status.add("state", stateName(last_motion_->state));
     status.add("disagreement [px]", last_motion_->disagreement);
     status.add("chi-square", last_motion_->chi_square);
+    status.add("views used", last_motion_->views);
     status.add("processor time of the exposure [s]", last_motion_->cpu_time.toSec());
     status.add("wall time of the exposure [s]", last_motion_->wall_time.toSec());
   }

@@ -1,17 +1,14 @@
 #include "xray_tracking_motion_estimation/motion_estimation_ros.h"
 
 #include <algorithm>
-#include <set>
-#include <sstream>
 #include <stdexcept>
 
 #include <geometry_msgs/PoseWithCovarianceStamped.h>
 #include <geometry_msgs/TransformStamped.h>
 
 #include "xray_tracking_conversions/conversions.h"
-#include "xray_tracking_conversions/parameters.h"
-#include "xray_tracking_core/option_check.h"
 #include "xray_tracking_core/stopwatch.h"
+#include "xray_tracking_motion_estimation/bone_shape.h"
 
 namespace xray_tracking
 {
@@ -22,6 +19,13 @@ using xray_tracking_msgs::TrackedRegion;
 
 /// Templates refer to exposures of the last seconds; the reference in use is kept apart.
 constexpr std::size_t kHistoryCapacity = 1000;
+
+constexpr double kRefinementPeriod = 0.02;  // s, of looking whether an answer has come
+
+std::int64_t nanosecondsFromSeconds(double seconds)
+{
+  return static_cast<std::int64_t>(1e9 * seconds);
+}
 
 /// Of numbers that others have sent too: what ros::Duration does not hold would throw.
 ros::Duration durationFromSeconds(double seconds)
@@ -48,6 +52,11 @@ MotionEstimationRos::MotionEstimationRos(const ros::NodeHandle& nh, const ros::N
   {
     views_.clear();
     configuration_fault_ = error.what();
+    if (!gate_)
+    {
+      gate_.emplace(nh_, BeamGateOptions());
+    }
+    gate_->reset(configuration_fault_);
     ROS_FATAL_STREAM(pnh_.getNamespace() << " is idle: " << configuration_fault_);
   }
   timer_ = nh_.createSteadyTimer(ros::WallDuration(1.0), &MotionEstimationRos::timerCb, this);
@@ -57,6 +66,9 @@ MotionEstimationRos::~MotionEstimationRos()
 {
   // A nodelet's callbacks may be running in another thread: this waits for them, before any member goes.
   timer_.stop();
+  refinement_timer_.stop();
+  refine_server_.shutdown();
+  gate_.reset();
   for (View& view : views_)
   {
     view.camera_info_subscriber.shutdown();
@@ -66,34 +78,24 @@ MotionEstimationRos::~MotionEstimationRos()
 
 void MotionEstimationRos::start()
 {
-  ParameterReader reader(pnh_);
-  const std::string setup_file = reader.read<std::string>("setup_file", "");
-  options_.method = estimationMethodFromName(reader.read<std::string>("method", "least_squares"));
-  options_.significance = reader.read("significance", options_.significance);
-  options_.floor_sigma = reader.read("floor_sigma", options_.floor_sigma);
-  options_.rotation_sigma = reader.read("rotation_sigma", options_.rotation_sigma);
-  options_.min_view_angle = reader.read("min_view_angle", options_.min_view_angle);
-  options_.validate();
-  const int queue_size = reader.read("queue_size", 100);
-  requireOption(queue_size >= 1, "queue_size", queue_size, "1 or more exposures");
-  view_timeout_ = reader.read("view_timeout", 2.0);
-  requireOption(view_timeout_ > 0.0, "view_timeout", view_timeout_, "a number > 0 s");
-  const std::vector<std::string> fallback = { "detector_a", "detector_b" };
-  const std::vector<std::string> detectors = reader.read("detectors", fallback);
-  requireOption(
-      detectors.size() >= 2 && std::set<std::string>(detectors.begin(), detectors.end()).size() == detectors.size(),
-      "the length of detectors", detectors.size(), "two or more names that differ");
-  reader.warnOfUnread();
-  if (setup_file.empty())
-  {
-    throw std::invalid_argument("parameter " + pnh_.resolveName("setup_file") +
-                                " is not set, expected the path of a setup file");
-  }
-  setup_ = loadTreatmentSetup(setup_file);
+  parameters_ = readMotionEstimationParameters(pnh_);
+  gate_.emplace(nh_, parameters_.gate);
+  setup_ = loadTreatmentSetup(parameters_.setup_file);
+  reference_ = setup_.room_from_patient;
+  shape_ = std::async(parameters_.bone_shape ? std::launch::async : std::launch::deferred,
+                      [setup = setup_, bone = parameters_.bone_shape]
+                      { return bone ? boneShape(setup) : TargetShape::isotropic(setup.targetCentre()); });
+  consistency_.emplace(parameters_.consistency);
+  predictor_.emplace(parameters_.prediction, setup_.targetCentre());
+  refinement_client_.emplace(nh_, parameters_.refinement.timeout);
+  refinement_.emplace(parameters_.refinement, setup_.targetCentre(),
+                      [this](const RefinementRequest& request) { return refinement_client_->request(request); });
 
   motion_publisher_ = nh_.advertise<PatientMotion>("patient_motion", 100);
   pose_publisher_ = nh_.advertise<geometry_msgs::PoseWithCovarianceStamped>("patient_pose", 100);
-  assembler_.emplace(detectors.size(), queue_size);
+  prediction_publisher_ = nh_.advertise<geometry_msgs::PoseWithCovarianceStamped>("predicted_pose", 100);
+  const std::vector<std::string>& detectors = parameters_.detectors;
+  assembler_.emplace(detectors.size(), parameters_.queue_size, nanosecondsFromSeconds(parameters_.pairing_tolerance));
   measurements_.resize(detectors.size());
   views_.resize(detectors.size());
   const ros::TransportHints no_delay = ros::TransportHints().tcpNoDelay();
@@ -107,8 +109,14 @@ void MotionEstimationRos::start()
         nh_.subscribe<sensor_msgs::CameraInfo>(view.name + "/camera_info", 10, camera_info_cb, nullptr, no_delay);
     const boost::function<void(const TrackedRegion::ConstPtr&)> tracked_region_cb =
         [this, i](const TrackedRegion::ConstPtr& message) { trackedRegionCb(message, i); };
-    view.tracked_region_subscriber =
-        nh_.subscribe<TrackedRegion>(view.name + "/tracked_region", queue_size, tracked_region_cb, nullptr, no_delay);
+    view.tracked_region_subscriber = nh_.subscribe<TrackedRegion>(view.name + "/tracked_region", parameters_.queue_size,
+                                                                  tracked_region_cb, nullptr, no_delay);
+  }
+  if (parameters_.refinement.mode != RefinementMode::NEVER)
+  {
+    refine_server_ = pnh_.advertiseService("refine", &MotionEstimationRos::refineCb, this);
+    refinement_timer_ =
+        nh_.createSteadyTimer(ros::WallDuration(kRefinementPeriod), &MotionEstimationRos::refinementCb, this);
   }
 }
 
@@ -120,36 +128,57 @@ void MotionEstimationRos::trackedRegionCb(const TrackedRegion::ConstPtr& message
   {
     first_arrival_ = views_[view].last_arrival;
   }
+  setSilent(view, false);
   const auto outcome = assembler_->add(view, nanosecondsFromTime(message->header.stamp), message);
   if (outcome != ExposureAssembler<TrackedRegion::ConstPtr>::Outcome::COMPLETE)
   {
     return;
   }
+  const ros::Time stamp = timeFromNanoseconds(assembler_->stamp());
   if (assembler_->restarted())
   {
-    ROS_WARN_STREAM("exposures start again at " << message->header.stamp << ": forgetting the earlier ones");
+    ROS_WARN_STREAM("exposures start again at " << stamp << ": forgetting the earlier ones");
     forget();
   }
 
   ++exposures_;
   last_exposure_ = ros::SteadyTime::now();
-  PatientMotion motion = motionFromStates();
-  motion.header.stamp = message->header.stamp;
+  PatientMotion motion;
+  motion.header.stamp = stamp;
   motion.header.frame_id = kRoomFrame;
+  const std::optional<MotionEstimate> result = estimate(motion);
   if (motion.state == PatientMotion::OK)
   {
-    const std::optional<MotionEstimate> result = estimate(motion);
-    if (motion.state == PatientMotion::OK)
+    const std::int64_t nanoseconds = assembler_->stamp();
+    for (std::size_t i = 0; i < views_.size(); ++i)
     {
-      history_.add(nanosecondsFromTime(motion.header.stamp), result->room_from_patient);
-      publishPose(*result, motion.header.stamp);
-      ++poses_;
+      // A template's reference is known by its own view's stamp.
+      if (i == 0 || assembler_->offset(i) != 0)
+      {
+        history_.add(nanoseconds + assembler_->offset(i), result->room_from_patient);
+      }
     }
+    last_pose_ = result->room_from_patient;
+    publishPose(*result, stamp);
+    ++poses_;
+    predictor_->add(nanoseconds, result->room_from_patient, result->pose_covariance);
+    publishPrediction();
+  }
+  tellGate(motion, result);
+  if (motion.state == PatientMotion::OK)
+  {
+    refinement_->onExposure(
+        { assembler_->stamp(), result->room_from_patient, result->pose_covariance, result->disagreement },
+        steadyNanoseconds());
   }
   double cpu_seconds = 0.0;
   double wall_seconds = 0.0;
   for (const TrackedRegion::ConstPtr& region : assembler_->exposure())
   {
+    if (!region)
+    {
+      continue;
+    }
     cpu_seconds += region->cpu_time.toSec();
     wall_seconds = std::max(wall_seconds, region->wall_time.toSec());
   }
@@ -159,148 +188,14 @@ void MotionEstimationRos::trackedRegionCb(const TrackedRegion::ConstPtr& message
   report(motion);
 }
 
-PatientMotion MotionEstimationRos::motionFromStates() const
+void MotionEstimationRos::setSilent(std::size_t view, bool silent)
 {
-  PatientMotion motion;
-  motion.views = static_cast<std::uint32_t>(views_.size());
+  views_[view].silent = silent;
+  const auto heard = std::count_if(views_.begin(), views_.end(), [](const View& v) { return !v.silent; });
   for (std::size_t i = 0; i < views_.size(); ++i)
   {
-    const std::uint8_t state = assembler_->exposure()[i]->state;
-    const bool waiting = state == TrackedRegion::UNTRAINED || state == TrackedRegion::TRAINING;
-    if (state == TrackedRegion::TRACKING || (waiting && motion.state == PatientMotion::LOST))
-    {
-      continue;
-    }
-    motion.state = waiting ? PatientMotion::WAITING : PatientMotion::LOST;
-    motion.reason = views_[i].name;
-    if (waiting)
-    {
-      motion.reason += state == TrackedRegion::TRAINING ? " is training" : " is untrained";
-    }
-    else
-    {
-      motion.reason +=
-          state == TrackedRegion::LOST ? " has lost its region" : " has the unknown state " + std::to_string(state);
-    }
+    assembler_->expect(i, heard < 2 || !views_[i].silent);
   }
-  return motion;
-}
-
-std::string MotionEstimationRos::checkGeometry()
-{
-  try
-  {
-    for (View& view : views_)
-    {
-      const CameraInfoWatch& camera_info = view.camera_info;
-      if (!camera_info.fault().empty())
-      {
-        return view.name + ": " + camera_info.fault();
-      }
-      if (!camera_info.valid())
-      {
-        return "no " + nh_.resolveName(view.name + "/camera_info") + " so far";
-      }
-      const auto message = tf_buffer_.lookupTransform(kRoomFrame, camera_info.frame(), ros::Time(0));
-      const RigidTransform room_from_optical = rigidFromTransformMsg(message.transform);
-      if (!estimator_)
-      {
-        view.room_from_optical = room_from_optical;
-      }
-      // Rounding of what combines transforms is let through; in mm and of the rotation times the distances, it is less
-      // than a micrometre.
-      else if (!room_from_optical.isApprox(view.room_from_optical, 1e-10))
-      {
-        return view.name + ": frame " + camera_info.frame() + " has moved in " + kRoomFrame +
-               ", expected it to stay where it was at first";
-      }
-    }
-    if (!estimator_)
-    {
-      std::vector<ProjectionGeometry> geometries;
-      for (const View& view : views_)
-      {
-        geometries.push_back(view.camera_info.geometry(view.name, view.room_from_optical));
-      }
-      estimator_.emplace(options_, std::move(geometries), setup_.targetCentre(), setup_.room_from_patient);
-    }
-  }
-  catch (const std::exception& error)  // tf2's, or of a geometry that is none
-  {
-    return error.what();
-  }
-  return std::string();
-}
-
-std::string MotionEstimationRos::findReferences()
-{
-  const auto& exposure = assembler_->exposure();
-  if (history_.empty())
-  {
-    // The patient is taken to have kept its initial pose until all views track.
-    for (std::size_t i = 0; i < views_.size(); ++i)
-    {
-      const ros::Time& stamp = exposure[i]->reference_stamp;
-      history_.add(nanosecondsFromTime(stamp), setup_.room_from_patient);
-      ROS_WARN_STREAM_COND(stamp != exposure[0]->reference_stamp,
-                           views_[i].name << " was trained on the exposure at " << stamp << ", " << views_[0].name
-                                          << " on that at " << exposure[0]->reference_stamp
-                                          << ": motion between them stays unseen");
-    }
-  }
-  for (std::size_t i = 0; i < views_.size(); ++i)
-  {
-    View& view = views_[i];
-    const ros::Time& stamp = exposure[i]->reference_stamp;
-    if (!view.reference || view.reference->first != stamp)
-    {
-      const std::optional<RigidTransform> pose = history_.at(nanosecondsFromTime(stamp));
-      if (!pose)
-      {
-        std::ostringstream reason;
-        reason << view.name << " was trained on the exposure at " << stamp << ", whose pose is not known";
-        return reason.str();
-      }
-      view.reference = std::make_pair(stamp, *pose);
-    }
-  }
-  return std::string();
-}
-
-std::optional<MotionEstimate> MotionEstimationRos::estimate(PatientMotion& motion)
-{
-  if (!(motion.reason = checkGeometry()).empty())
-  {
-    motion.state = PatientMotion::WAITING;
-    return std::nullopt;
-  }
-  if (!(motion.reason = findReferences()).empty())
-  {
-    motion.state = PatientMotion::NO_REFERENCE;
-    return std::nullopt;
-  }
-  for (std::size_t i = 0; i < views_.size(); ++i)
-  {
-    const TrackedRegion& region = *assembler_->exposure()[i];
-    measurements_[i].room_from_patient = views_[i].reference->second;
-    measurements_[i].displacement = { region.displacement_x, region.displacement_y };
-    measurements_[i].covariance =
-        Eigen::Map<const Eigen::Matrix<double, 2, 2, Eigen::RowMajor>>(region.covariance.data());
-  }
-  const MotionEstimate result = estimator_->estimate(measurements_);
-  motion.reason = result.reason;
-  if (result.status == EstimateStatus::INVALID)
-  {
-    motion.state = PatientMotion::LOST;
-    return std::nullopt;
-  }
-  motion.state = result.status == EstimateStatus::OK ? PatientMotion::OK : PatientMotion::INCONSISTENT;
-  motion.translation = vectorMsgFromMillimetres(result.translation);
-  motion.covariance = covarianceMsgFromMillimetres(result.translation_covariance);
-  motion.disagreement = result.disagreement;
-  motion.chi_square = result.chi_square;
-  motion.degrees_of_freedom = static_cast<std::uint32_t>(result.degrees_of_freedom);
-  return result;
 }
 
 void MotionEstimationRos::publishPose(const MotionEstimate& estimate, const ros::Time& stamp)
@@ -318,6 +213,113 @@ void MotionEstimationRos::publishPose(const MotionEstimate& estimate, const ros:
   pose_publisher_.publish(pose);
 }
 
+void MotionEstimationRos::publishPrediction()
+{
+  const std::int64_t now = nanosecondsFromTime(ros::Time::now());
+  const std::optional<PosePrediction> prediction =
+      predictor_->predict(now + nanosecondsFromSeconds(parameters_.prediction.latency));
+  if (prediction)
+  {
+    geometry_msgs::PoseWithCovarianceStamped pose;
+    pose.header.stamp = timeFromNanoseconds(prediction->stamp);
+    pose.header.frame_id = kRoomFrame;
+    pose.pose = poseWithCovarianceMsg(prediction->room_from_patient, prediction->covariance);
+    prediction_publisher_.publish(pose);
+  }
+}
+
+Eigen::Vector3d MotionEstimationRos::displacement(const RigidTransform& room_from_patient) const
+{
+  return room_from_patient * setup_.targetCentre() - setup_.room_from_patient * setup_.targetCentre();
+}
+
+void MotionEstimationRos::tellGate(const PatientMotion& motion, const std::optional<MotionEstimate>& estimate)
+{
+  GateExposure exposure;
+  exposure.stamp = nanosecondsFromTime(motion.header.stamp);
+  exposure.arrival = steadyNanoseconds();
+  exposure.delay = nanosecondsFromTime(ros::Time::now()) - exposure.stamp;
+  exposure.text = motion.reason;
+  if (motion.state == PatientMotion::INCONSISTENT)
+  {
+    exposure.fault = GateReason::INCONSISTENT;
+  }
+  else if (motion.state == PatientMotion::OK)
+  {
+    exposure.fault = GateReason::NONE;
+    exposure.displacement = displacement(estimate->room_from_patient);
+    exposure.rotation = rotationAngle(estimate->room_from_patient * setup_.room_from_patient.inverse());
+    exposure.covariance = estimate->covariance.topLeftCorner<3, 3>();
+    for (std::size_t i = 0; i < views_.size(); ++i)
+    {
+      if (views_[i].doubt.state == PatientMotion::OK && assembler_->exposure()[i]->state == TrackedRegion::DEGRADED)
+      {
+        exposure.doubt = views_[i].name + " is degraded: much of its region does not look like the template";
+      }
+    }
+  }
+  gate_->update(exposure);
+}
+
+bool MotionEstimationRos::refineCb(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response)
+{
+  response.success = static_cast<std::uint8_t>(refinement_->demand());
+  response.message = "the next exposure that has a pose will be refined";
+  return true;
+}
+
+void MotionEstimationRos::refinementCb(const ros::SteadyTimerEvent&)
+{
+  if (refinement_->tick(steadyNanoseconds()))
+  {
+    ROS_WARN_STREAM("refinement: no answer within " << parameters_.refinement.timeout << " s");
+  }
+  if (!refinement_->pending())
+  {
+    refinement_client_->cancel();
+  }
+  const std::optional<RefinementReply> reply = refinement_client_->takeReply();
+  if (!reply || !refinement_->pending())  // an answer to what was given up
+  {
+    return;
+  }
+  const std::optional<Refinement> refinement = refinement_->onReply(*reply);
+  if (refinement)
+  {
+    accept(*refinement);
+  }
+  else
+  {
+    ROS_WARN_STREAM_THROTTLE(1.0, "refinement refused: " << refinement_->lastRefusal());
+  }
+}
+
+void MotionEstimationRos::accept(const Refinement& refinement)
+{
+  const Eigen::Vector3d target = setup_.targetCentre();
+  const auto carry = [&](const RigidTransform& pose) { return refinement.carry(pose, target); };
+  const RigidTransform before = *last_pose_;
+  const RigidTransform after = carry(before);
+  history_.transform(carry);
+  for (View& view : views_)
+  {
+    if (view.reference)
+    {
+      view.reference->second = carry(view.reference->second);
+    }
+  }
+  reference_ = carry(reference_);
+  estimator_.reset();
+  consistency_->reset();
+  last_pose_ = after;
+  predictor_->correct(before, after);
+  gate_->refined(after * target - before * target);
+  const Twist correction = twistAbout(before * target, after * before.inverse());
+  ROS_INFO_STREAM("refinement accepted: the target is "
+                  << correction.tail<3>().norm() << " mm and " << correction.head<3>().norm()
+                  << " rad from where the tracks put it at " << timeFromNanoseconds(refinement.stamp));
+}
+
 void MotionEstimationRos::forget()
 {
   history_.clear();
@@ -327,5 +329,12 @@ void MotionEstimationRos::forget()
   {
     view.reference.reset();
   }
+  reference_ = setup_.room_from_patient;
+  estimator_.reset();
+  consistency_->reset();
+  last_pose_.reset();
+  predictor_->reset();
+  refinement_->reset();
+  gate_->reset("exposures start again");
 }
 }  // namespace xray_tracking

@@ -6,45 +6,34 @@
 #include <stdexcept>
 #include <utility>
 
-#include <Eigen/Cholesky>
 #include <Eigen/LU>
 #include <boost/math/distributions/chi_squared.hpp>
 
 #include "xray_tracking_core/option_check.h"
+#include "xray_tracking_motion_estimation/pose_covariance.h"
 
 namespace xray_tracking
 {
 namespace
 {
-constexpr double kConverged = 1e-9;  // mm
+constexpr double kConverged = 1e-9;  // mm, and 1e-11 rad: the same over 100 mm
 constexpr int kMaxIterations = 20;
+constexpr std::size_t kMaxDegreesOfFreedom = 6 * kMaxViews - 3;
 
-/// Refuses views that see the target along one line only: nothing would fix its place on that line.
-void requireParallax(const std::vector<ProjectionGeometry>& views, const Eigen::Vector3d& target, double min_angle)
+/// The rotation of a warp's linear part, from columns to rows [rad], and its variance for the warp's covariance.
+std::pair<double, double> inPlaneRotation(const Vector6d& warp, const Matrix6d& covariance)
 {
-  double widest = 0.0;
-  for (const ProjectionGeometry& a : views)
-  {
-    for (const ProjectionGeometry& b : views)
-    {
-      const Eigen::Vector3d ray_a = (target - a.source()).normalized();
-      const Eigen::Vector3d ray_b = (target - b.source()).normalized();
-      // Between lines, not directions: a view from the opposite side adds no parallax.
-      widest = std::max(widest, std::asin(std::min(1.0, ray_a.cross(ray_b).norm())));
-    }
-  }
-  if (!(widest >= min_angle))
-  {
-    std::ostringstream message;
-    message << "the views";
-    for (const ProjectionGeometry& view : views)
-    {
-      message << ' ' << view.name();
-    }
-    message << " are as good as parallel: their rays through the target are at most " << widest
-            << " rad apart, expected min_view_angle " << min_angle << " rad or more";
-    throw std::invalid_argument(message.str());
-  }
+  TrackParametersJacobian jacobian;
+  const double angle = nearestParameters(TrackModel::EUCLIDEAN, warp, Eigen::Matrix2d::Identity(), jacobian)(2);
+  return { angle, (jacobian.row(2) * covariance * jacobian.row(2).transpose()).value() };
+}
+
+/// Of a rotation of the room, seen along a view's axis [rad].
+double inPlaneRotation(const ProjectionGeometry& view, const Eigen::Matrix3d& rotation)
+{
+  const Eigen::Matrix3d axes = view.roomFromOptical().linear();
+  const Eigen::Matrix3d optical = axes.transpose() * rotation * axes;
+  return std::atan2(optical(1, 0) - optical(0, 1), optical(0, 0) + optical(1, 1));
 }
 }  // namespace
 
@@ -63,71 +52,107 @@ EstimationMethod estimationMethodFromName(const std::string& name)
 
 void MotionEstimationOptions::validate() const
 {
+  const auto requirePositive = [](const std::string& key, double value, const std::string& unit)
+  { requireOption(value > 0.0 && std::isfinite(value), key, value, "a number > 0" + unit); };
   requireOption(significance > 0.0 && significance < 1.0, "significance", significance, "a probability in (0, 1)");
-  requireOption(floor_sigma > 0.0 && std::isfinite(floor_sigma), "floor_sigma", floor_sigma, "a number > 0 px");
-  requireOption(rotation_sigma > 0.0 && std::isfinite(rotation_sigma), "rotation_sigma", rotation_sigma,
-                "a number > 0 rad");
+  requirePositive("floor_sigma", floor_sigma, " px");
+  requirePositive("linear_floor_sigma", linear_floor_sigma, "");
+  requirePositive("rotation_sigma", rotation_sigma, " rad");
   requireOption(min_view_angle > 0.0 && min_view_angle < M_PI / 2, "min_view_angle", min_view_angle,
                 "an angle in (0, pi / 2) rad");
 }
 
 MotionEstimator::MotionEstimator(const MotionEstimationOptions& options, std::vector<ProjectionGeometry> views,
-                                 const Eigen::Vector3d& target_centre,
+                                 const Eigen::Vector3d& target_centre, const TargetShape& shape,
                                  const RigidTransform& room_from_patient_reference)
   : options_(options),
     views_(std::move(views)),
     target_centre_(target_centre),
+    shape_(shape),
     reference_(room_from_patient_reference),
     reference_target_(reference_ * target_centre_)
 {
   options_.validate();
-  requireOption(views_.size() >= 2, "the number of views", views_.size(), "two or more");
-  for (const ProjectionGeometry& view : views_)
-  {
-    requireOption(view.depth(reference_target_) > 0.0, "the target's distance from the source of " + view.name(),
-                  view.depth(reference_target_), "a number > 0 mm: a target in front of the source");
-  }
-  requireParallax(views_, reference_target_, options_.min_view_angle);
-
-  Eigen::Vector3d sum = Eigen::Vector3d::Zero();  // s = diag(M M^T), eq. (5)
-  for (const ProjectionGeometry& view : views_)
-  {
-    Eigen::Matrix<double, 3, 2> axes;
-    axes << view.xDirection(), view.yDirection();
-    sum += axes.rowwise().squaredNorm();
-    const double c = 1.0 / view.magnification(reference_target_);            // eq. (3)
-    back_projections_.push_back(c * axes * view.pixelPitch().asDiagonal());  // eq. (2)
-  }
-  // A direction that no panel sees would have s = 0; parallax rules it out.
-  normalisation_ = sum.cwiseInverse();
-}
-
-MotionEstimate MotionEstimator::estimate(const std::vector<ViewMeasurement>& measurements) const
-{
-  requireOption(measurements.size() == views_.size(), "the number of measurements", measurements.size(), "one a view");
-  MotionEstimate invalid;
+  requireOption(views_.size() >= 2 && views_.size() <= kMaxViews, "the number of views", views_.size(),
+                "2 to " + std::to_string(kMaxViews));
+  Observations all;
   for (std::size_t i = 0; i < views_.size(); ++i)
   {
-    invalid.reason = fault(i, measurements[i]);
-    if (!invalid.reason.empty())
+    const double depth = views_[i].depth(reference_target_);
+    requireOption(depth > 0.0, "the target's distance from the source of " + views_[i].name(), depth,
+                  "a number > 0 mm: a target in front of the source");
+    lines_of_sight_.push_back((reference_target_ - views_[i].source()).normalized());
+    all.emplace_back();
+    all.back().view = i;
+  }
+  shape_.validate();
+  const double widest = widestAngle(all);
+  requireOption(
+      widest >= options_.min_view_angle,
+      "the views" + viewNames(all) + " are as good as parallel: the widest angle of their rays through the target",
+      widest, "min_view_angle, " + std::to_string(options_.min_view_angle) + " rad, or more");
+
+  chi_square_limits_.resize(kMaxDegreesOfFreedom + 1);
+  for (std::size_t i = 1; i <= kMaxDegreesOfFreedom; ++i)
+  {
+    chi_square_limits_[i] = boost::math::quantile(
+        boost::math::complement(boost::math::chi_squared(static_cast<double>(i)), options_.significance));
+  }
+}
+
+MotionEstimate MotionEstimator::estimate(const std::vector<std::optional<ViewMeasurement>>& measurements) const
+{
+  if (measurements.size() != views_.size())
+  {
+    throw std::invalid_argument("the number of measurements is " + std::to_string(measurements.size()) +
+                                ", expected one a view");
+  }
+  MotionEstimate estimate;
+  Observations observations;
+  for (std::size_t i = 0; i < views_.size(); ++i)
+  {
+    if (measurements[i])
     {
-      return invalid;
+      observations.emplace_back();
+      estimate.reason = observe(i, *measurements[i], observations.back());
+      if (!estimate.reason.empty())
+      {
+        return estimate;
+      }
     }
   }
-
-  MotionEstimate estimate;
-  const bool solved = options_.method == EstimationMethod::BACKPROJECTION ? backProject(measurements, estimate)
-                                                                          : solveLeastSquares(measurements, estimate);
-  if (!solved || !judgeConsistency(measurements, estimate))
+  // Also false for fewer than two views. The scale of one view tells depth to centimetres, which is no measurement.
+  if (!(widestAngle(observations) >= options_.min_view_angle))
   {
-    invalid.reason = "the tracks lead to no place in front of all sources";
-    return invalid;
+    estimate.status = EstimateStatus::UNOBSERVABLE;
+    estimate.reason = observations.empty()
+                          ? "no view has a track"
+                          : "the views that are left do not tell where the target is:" + viewNames(observations);
+    return estimate;
   }
-  fillPose(estimate);
+
+  Motion motion{ reference_target_, Eigen::Matrix3d::Identity() };
+  bool solved = true;
+  if (options_.method == EstimationMethod::BACKPROJECTION)
+  {
+    backProject(measurements, observations, motion, estimate.covariance);
+  }
+  else
+  {
+    solved = solveLeastSquares(observations, motion, estimate.covariance);
+  }
+  if (!solved || !judgeConsistency(observations, motion, estimate))
+  {
+    estimate = MotionEstimate();
+    estimate.reason = "the tracks lead to no place in front of all sources";
+    return estimate;
+  }
+  fillPose(motion, estimate);
   return estimate;
 }
 
-std::string MotionEstimator::fault(std::size_t view, const ViewMeasurement& measurement) const
+std::string MotionEstimator::observe(std::size_t view, const ViewMeasurement& measurement,
+                                     Observation& observation) const
 {
   const auto describe = [&](const auto&... parts)
   {
@@ -136,129 +161,220 @@ std::string MotionEstimator::fault(std::size_t view, const ViewMeasurement& meas
     (message << ... << parts);
     return message.str();
   };
-  if (!measurement.displacement.allFinite())
+  const Track& track = measurement.track;
+  if (!track.displacement.allFinite() || !track.centre.allFinite())
   {
-    return describe("displacement is [", measurement.displacement.transpose(), "] px, expected finite numbers");
+    return describe("displacement is [", track.displacement.transpose(), "] px of the region at [",
+                    track.centre.transpose(), "] px, expected finite numbers");
   }
-  const Eigen::Matrix2d& covariance = measurement.covariance;
-  if (!covariance.allFinite() || covariance.diagonal().minCoeff() < 0.0 ||
-      !covariance.isApprox(covariance.transpose()) ||
-      Eigen::LLT<Eigen::Matrix2d>(measurementCovariance(measurement)).info() != Eigen::Success)
+  // Written so that NaN fails, too.
+  if (!(track.linear.determinant() > 0.0) || !track.linear.allFinite())
   {
-    return describe("covariance is [", covariance.row(0), "; ", covariance.row(1),
-                    "] px^2, expected a symmetric positive semidefinite matrix");
+    return describe("linear part is [", track.linear.row(0), "; ", track.linear.row(1),
+                    "], expected finite numbers and a positive determinant");
   }
-  if (!observedPixel(view, measurement).allFinite())
+  observation.view = view;
+  observation.model = track.model;
+  observation.patch =
+      RegionPatch::make(views_[view], measurement.room_from_patient, target_centre_, shape_, track.centre);
+  if (!observation.patch.allFinite())
   {
     return describe("the target was not in front of the source when the view was trained");
+  }
+  observation.reference_rotation = reference_.linear() * measurement.room_from_patient.linear().transpose();
+
+  Vector6d floor;
+  floor << Eigen::Vector2d::Constant(options_.floor_sigma), Eigen::Vector4d::Constant(options_.linear_floor_sigma);
+  observation.warp_covariance = track.covariance;
+  observation.warp_covariance.diagonal() += floor.cwiseAbs2();
+  TrackParametersJacobian jacobian;
+  observation.parameters = nearestParameters(track.model, track.warp(), Eigen::Matrix2d::Identity(), jacobian);
+  observation.covariance.compute(jacobian * observation.warp_covariance * jacobian.transpose());
+  if (!track.covariance.allFinite() || track.covariance.diagonal().minCoeff() < 0.0 ||
+      (track.covariance - track.covariance.transpose()).cwiseAbs().maxCoeff() >
+          1e-6 * track.covariance.diagonal().maxCoeff() ||
+      observation.covariance.info() != Eigen::Success)
+  {
+    return describe("covariance of (dx, dy, l11, l12, l21, l22) is [", track.covariance.row(0), "; ",
+                    track.covariance.row(1), "; ...], expected a symmetric positive semidefinite matrix");
   }
   return std::string();
 }
 
-Eigen::Matrix2d MotionEstimator::measurementCovariance(const ViewMeasurement& measurement) const
+void MotionEstimator::whiten(const Observation& observation, const Motion& motion, Whitened& whitened) const
 {
-  return measurement.covariance + options_.floor_sigma * options_.floor_sigma * Eigen::Matrix2d::Identity();
+  whitened.warp = observation.patch.predict(views_[observation.view], motion.target,
+                                            motion.rotation * observation.reference_rotation, whitened.warp_jacobian);
+  TrackParametersJacobian parameters_by_warp;
+  const TrackParameters predicted =
+      nearestParameters(observation.model, whitened.warp, observation.patch.moments, parameters_by_warp);
+  whitened.residual = difference(observation.model, observation.parameters, predicted);
+  whitened.jacobian.noalias() = parameters_by_warp * whitened.warp_jacobian;
+  const auto root = observation.covariance.matrixL();
+  root.solveInPlace(whitened.residual);
+  root.solveInPlace(whitened.jacobian);
 }
 
-Eigen::Vector2d MotionEstimator::observedPixel(std::size_t view, const ViewMeasurement& measurement) const
+double MotionEstimator::widestAngle(const Observations& observations) const
 {
-  return views_[view].project(measurement.room_from_patient * target_centre_) + measurement.displacement;
+  double widest = 0.0;
+  for (const Observation& a : observations)
+  {
+    for (const Observation& b : observations)
+    {
+      // Between lines, not directions: a view from the opposite side adds no parallax.
+      const double sine = lines_of_sight_[a.view].cross(lines_of_sight_[b.view]).norm();
+      widest = std::max(widest, std::asin(std::min(1.0, sine)));
+    }
+  }
+  return widest;
 }
 
-bool MotionEstimator::solveLeastSquares(const std::vector<ViewMeasurement>& measurements,
-                                        MotionEstimate& estimate) const
+std::string MotionEstimator::viewNames(const Observations& observations) const
 {
-  Eigen::Vector3d target = reference_target_;
+  std::string names;
+  for (const Observation& observation : observations)
+  {
+    names += ' ' + views_[observation.view].name();
+  }
+  return names;
+}
+
+bool MotionEstimator::solveLeastSquares(const Observations& observations, Motion& motion, Matrix6d& covariance) const
+{
+  const double rotation_weight = 1.0 / (options_.rotation_sigma * options_.rotation_sigma);
+  Whitened whitened;
   for (int iteration = 0; iteration < kMaxIterations; ++iteration)
   {
-    Eigen::Matrix3d information = Eigen::Matrix3d::Zero();
-    Eigen::Vector3d gradient = Eigen::Vector3d::Zero();
-    for (std::size_t i = 0; i < views_.size(); ++i)
+    // The prior's gradient is exact: a rotation vector is an eigenvector, to the eigenvalue 1, of what turns a further
+    // rotation into its change.
+    Matrix6d information = Matrix6d::Zero();
+    information.diagonal().tail<3>().setConstant(rotation_weight);
+    Vector6d gradient = Vector6d::Zero();
+    gradient.tail<3>() = -rotation_weight * vectorFromRotation(motion.rotation);
+    for (const Observation& observation : observations)
     {
-      const Jacobian jacobian = views_[i].projectionJacobian(target);
-      const Jacobian weighted = measurementCovariance(measurements[i]).inverse() * jacobian;
-      information.noalias() += jacobian.transpose() * weighted;
-      gradient.noalias() += weighted.transpose() * (observedPixel(i, measurements[i]) - views_[i].project(target));
+      whiten(observation, motion, whitened);
+      information.noalias() += whitened.jacobian.transpose() * whitened.jacobian;
+      gradient.noalias() += whitened.jacobian.transpose() * whitened.residual;
     }
-    const Eigen::LLT<Eigen::Matrix3d> cholesky(information);
-    const Eigen::Vector3d step = cholesky.solve(gradient);
+    const Eigen::LLT<Matrix6d> cholesky(information);
+    const Vector6d step = cholesky.solve(gradient);
     if (cholesky.info() != Eigen::Success || !step.allFinite())
     {
       return false;
     }
-    target += step;
-    if (step.norm() < kConverged)
+    motion.target += step.head<3>();
+    motion.rotation = rotationFromVector(step.tail<3>()) * motion.rotation;
+    if (step.head<3>().norm() + 100.0 * step.tail<3>().norm() < kConverged)
     {
-      estimate.translation = target - reference_target_;
-      estimate.translation_covariance = cholesky.solve(Eigen::Matrix3d::Identity());
+      covariance = cholesky.solve(Matrix6d::Identity());
       return true;
     }
   }
   return false;
 }
 
-bool MotionEstimator::backProject(const std::vector<ViewMeasurement>& measurements, MotionEstimate& estimate) const
+void MotionEstimator::backProject(const std::vector<std::optional<ViewMeasurement>>& measurements,
+                                  const Observations& observations, Motion& motion, Matrix6d& covariance) const
 {
+  Eigen::Vector3d diagonal = Eigen::Vector3d::Zero();  // s = diag(M M^T), eq. (5)
   Eigen::Vector3d sum = Eigen::Vector3d::Zero();
-  Eigen::Matrix3d covariance = Eigen::Matrix3d::Zero();
-  for (std::size_t i = 0; i < views_.size(); ++i)
+  Eigen::Matrix3d sum_covariance = Eigen::Matrix3d::Zero();
+  Eigen::Matrix3d rotation_information =
+      Eigen::Matrix3d::Identity() / (options_.rotation_sigma * options_.rotation_sigma);
+  for (const Observation& observation : observations)
   {
+    const ProjectionGeometry& view = views_[observation.view];
+    const ViewMeasurement& measurement = *measurements[observation.view];
+    const Track& track = measurement.track;
+    Eigen::Matrix<double, 3, 2> axes;
+    axes << view.xDirection(), view.yDirection();
+    diagonal += axes.rowwise().squaredNorm();
+    const double c = 1.0 / view.magnification(reference_target_);                                   // eq. (3)
+    const Eigen::Matrix<double, 3, 2> back_projection = c * axes * view.pixelPitch().asDiagonal();  // eq. (2)
+
+    // Of the target's centre, which need not be the region's.
+    const Eigen::Vector3d trained_target = measurement.room_from_patient * target_centre_;
+    const Eigen::Vector2d arm = view.project(trained_target) - track.centre;
+    const Eigen::Vector2d displacement = track.displacement + track.linear * arm - arm;
+    Eigen::Matrix<double, 2, 6> by_warp = Eigen::Matrix<double, 2, 6>::Zero();
+    by_warp.leftCols<2>().setIdentity();
+    by_warp.block<1, 2>(0, 2) = arm.transpose();
+    by_warp.block<1, 2>(1, 4) = arm.transpose();
+
     // The paper has one reference exposure. What a view's own one has moved by since then is known; the part of it
     // that this view would have seen belongs to its d.
-    const Eigen::Vector3d normal = views_[i].roomFromOptical().linear().col(2);
-    const Eigen::Vector3d moved = measurements[i].room_from_patient * target_centre_ - reference_target_;
-    sum += back_projections_[i] * measurements[i].displacement + moved - normal * normal.dot(moved);
-    covariance += back_projections_[i] * measurementCovariance(measurements[i]) * back_projections_[i].transpose();
+    const Eigen::Vector3d normal = view.roomFromOptical().linear().col(2);
+    const Eigen::Vector3d moved = trained_target - reference_target_;
+    sum += back_projection * displacement + moved - normal * normal.dot(moved);
+    sum_covariance +=
+        back_projection * by_warp * observation.warp_covariance * by_warp.transpose() * back_projection.transpose();
+
+    if (track.model != TrackModel::TRANSLATION)
+    {
+      const auto [angle, variance] = inPlaneRotation(track.warp(), observation.warp_covariance);
+      const double known = inPlaneRotation(view, observation.reference_rotation.transpose());
+      // Each about its axis as the ones before have turned it.
+      motion.rotation *= rotationFromVector((angle + known) * normal);
+      rotation_information += normal * normal.transpose() / variance;
+    }
   }
-  estimate.translation = normalisation_.cwiseProduct(sum);  // eq. (7)
-  estimate.translation_covariance = normalisation_.asDiagonal() * covariance * normalisation_.asDiagonal();
-  return true;
+  // A direction that no panel sees would have s = 0; parallax rules it out.
+  const Eigen::Vector3d normalisation = diagonal.cwiseInverse();  // N, eq. (6)
+  motion.target += normalisation.cwiseProduct(sum);               // eq. (7)
+  covariance.topLeftCorner<3, 3>() = normalisation.asDiagonal() * sum_covariance * normalisation.asDiagonal();
+  covariance.bottomRightCorner<3, 3>() = rotation_information.inverse();
 }
 
-bool MotionEstimator::judgeConsistency(const std::vector<ViewMeasurement>& measurements, MotionEstimate& estimate) const
+bool MotionEstimator::judgeConsistency(const Observations& observations, const Motion& motion,
+                                       MotionEstimate& estimate) const
 {
-  const Eigen::Vector3d target = reference_target_ + estimate.translation;
+  Whitened whitened;
   double squared_pixels = 0.0;
-  for (std::size_t i = 0; i < views_.size(); ++i)
+  estimate.rotation = vectorFromRotation(motion.rotation);
+  estimate.chi_square = estimate.rotation.squaredNorm() / (options_.rotation_sigma * options_.rotation_sigma);
+  estimate.degrees_of_freedom = -3;
+  for (const Observation& observation : observations)
   {
-    const Eigen::Vector2d residual = observedPixel(i, measurements[i]) - views_[i].project(target);
-    squared_pixels += residual.squaredNorm();
-    estimate.chi_square += residual.dot(measurementCovariance(measurements[i]).inverse() * residual);
+    whiten(observation, motion, whitened);
+    estimate.chi_square += whitened.residual.squaredNorm();
+    estimate.degrees_of_freedom += static_cast<int>(observation.model);
+    ViewResidual residual;
+    residual.view = observation.view;
+    residual.residual = observation.parameters.head<2>() - whitened.warp.head<2>();
+    residual.covariance = observation.warp_covariance.topLeftCorner<2, 2>();
+    residual.jacobian = whitened.warp_jacobian.topLeftCorner<2, 3>();
+    estimate.residuals.push_back(residual);
+    squared_pixels += residual.residual.squaredNorm();
   }
-  estimate.disagreement = std::sqrt(squared_pixels / static_cast<double>(views_.size()));
-  estimate.degrees_of_freedom = 2 * static_cast<int>(views_.size()) - 3;
+  estimate.disagreement = std::sqrt(squared_pixels / static_cast<double>(observations.size()));
   if (!std::isfinite(estimate.chi_square))
   {
     return false;
   }
 
-  const boost::math::chi_squared distribution(estimate.degrees_of_freedom);
-  if (boost::math::cdf(boost::math::complement(distribution, estimate.chi_square)) >= options_.significance)
+  const double limit = chi_square_limits_[estimate.degrees_of_freedom];
+  estimate.status = EstimateStatus::OK;
+  if (estimate.chi_square > limit)
   {
-    estimate.status = EstimateStatus::OK;
-    return true;
+    estimate.status = EstimateStatus::INCONSISTENT;
+    std::ostringstream message;
+    message << "the views disagree by " << estimate.disagreement << " px: chi-square is " << estimate.chi_square
+            << " with " << estimate.degrees_of_freedom << " degrees of freedom, expected at most " << limit;
+    estimate.reason = message.str();
   }
-  estimate.status = EstimateStatus::INCONSISTENT;
-  std::ostringstream message;
-  message << "the views disagree by " << estimate.disagreement << " px: chi-square is " << estimate.chi_square
-          << " with " << estimate.degrees_of_freedom << " degrees of freedom, expected at most "
-          << boost::math::quantile(boost::math::complement(distribution, options_.significance));
-  estimate.reason = message.str();
   return true;
 }
 
-void MotionEstimator::fillPose(MotionEstimate& estimate) const
+void MotionEstimator::fillPose(const Motion& motion, MotionEstimate& estimate) const
 {
-  estimate.room_from_patient = reference_;
-  estimate.room_from_patient.pretranslate(estimate.translation);
+  estimate.translation = motion.target - reference_target_;
+  const Eigen::Matrix3d rotation = motion.rotation * reference_.linear();
+  estimate.room_from_patient.linear() = rotation;
+  estimate.room_from_patient.translation() = motion.target - rotation * target_centre_;
 
-  // With the target's centre at p, t = p - R c: a rotation error d moves the origin by -d x (R c) = [R c]x d.
-  const double variance = options_.rotation_sigma * options_.rotation_sigma;
-  const Eigen::Matrix3d lever = skew(reference_.linear() * target_centre_);
-  estimate.pose_covariance.topLeftCorner<3, 3>() =
-      estimate.translation_covariance + variance * lever * lever.transpose();
-  estimate.pose_covariance.topRightCorner<3, 3>() = variance * lever;
-  estimate.pose_covariance.bottomLeftCorner<3, 3>() = variance * lever.transpose();
-  estimate.pose_covariance.bottomRightCorner<3, 3>() = variance * Eigen::Matrix3d::Identity();
+  const Matrix6d origin_from_target = pointFromOriginJacobian(-(rotation * target_centre_));
+  estimate.pose_covariance = origin_from_target * estimate.covariance * origin_from_target.transpose();
 }
 }  // namespace xray_tracking

@@ -120,5 +120,74 @@ TEST(ExposureAssembler, AStrayOldMessageIsNoRestart)
   EXPECT_FALSE(assembler.restarted());
   EXPECT_EQ(assembler.incomplete(), 1u);
 }
+
+// One view's part of the new recording comes before the other's end of the old one.
+TEST(ExposureAssembler, StartsAgainOneViewAfterTheOther)
+{
+  Assembler assembler(2, 10);
+  assembler.add(0, 100 * kSecond, "");
+  assembler.add(1, 100 * kSecond, "");
+  assembler.add(0, 101 * kSecond, "");
+  assembler.add(0, kSecond, "");
+  EXPECT_EQ(assembler.add(1, 101 * kSecond, ""), Outcome::COMPLETE);
+  EXPECT_FALSE(assembler.restarted());
+  EXPECT_EQ(assembler.add(1, kSecond, ""), Outcome::COMPLETE);
+  EXPECT_TRUE(assembler.restarted());
+  EXPECT_EQ(assembler.incomplete(), 0u);
+}
+
+TEST(ExposureAssembler, DoesNotWaitForAViewThatIsNotExpected)
+{
+  Assembler assembler(3, 10);
+  assembler.expect(0, false);
+  assembler.add(1, kSecond, "b1");
+  EXPECT_EQ(assembler.add(2, kSecond, "c1"), Outcome::COMPLETE);
+  EXPECT_EQ(assembler.exposure(), (std::vector<std::string>{ "", "b1", "c1" }));
+  EXPECT_EQ(assembler.stamp(), kSecond);
+  // It comes after all: for what has been completed it is too late, for the next one it is in time.
+  EXPECT_EQ(assembler.add(0, kSecond, "a1"), Outcome::DUPLICATE);
+  assembler.add(0, 2 * kSecond, "a2");
+  assembler.add(1, 2 * kSecond, "b2");
+  EXPECT_EQ(assembler.add(2, 2 * kSecond, "c2"), Outcome::COMPLETE);
+  EXPECT_EQ(assembler.exposure(), (std::vector<std::string>{ "a2", "b2", "c2" }));
+  assembler.expect(0, true);
+  assembler.add(1, 3 * kSecond, "b3");
+  EXPECT_EQ(assembler.add(2, 3 * kSecond, "c3"), Outcome::PENDING);
+  EXPECT_EQ(assembler.add(0, 3 * kSecond, "a3"), Outcome::COMPLETE);
+  EXPECT_FALSE(assembler.restarted());
+}
+
+TEST(ExposureAssembler, PairsWithinATolerance)
+{
+  Assembler assembler(2, 10, 4);
+  assembler.add(1, 103, "b103");
+  EXPECT_EQ(assembler.add(0, 108, "a108"), Outcome::PENDING);
+  EXPECT_EQ(assembler.add(0, 100, "a100"), Outcome::COMPLETE);
+  EXPECT_EQ(assembler.exposure(), (std::vector<std::string>{ "a100", "b103" }));
+  EXPECT_EQ(assembler.stamp(), 100);
+  EXPECT_EQ(assembler.offset(0), 0);
+  EXPECT_EQ(assembler.offset(1), 3);
+  EXPECT_EQ(assembler.add(1, 106, "b106"), Outcome::COMPLETE);
+  EXPECT_EQ(assembler.stamp(), 108);
+  EXPECT_EQ(assembler.offset(1), -2);
+  EXPECT_EQ(assembler.add(1, 106, ""), Outcome::DUPLICATE);
+  EXPECT_EQ(assembler.add(1, 104, ""), Outcome::LATE);
+}
+
+TEST(ExposureAssembler, PrefersTheNearestStamp)
+{
+  Assembler assembler(2, 10, 5);
+  assembler.add(0, 100, "a100");
+  assembler.add(0, 109, "a109");
+  EXPECT_EQ(assembler.add(1, 105, "b105"), Outcome::COMPLETE);
+  EXPECT_EQ(assembler.exposure()[0], "a109");
+}
+
+TEST(ExposureAssembler, HasNoToleranceUnlessAsked)
+{
+  Assembler assembler(2, 10);
+  assembler.add(0, 100, "");
+  EXPECT_EQ(assembler.add(1, 101, ""), Outcome::PENDING);
+}
 }  // namespace
 }  // namespace xray_tracking

@@ -2,27 +2,65 @@
 
 #include <algorithm>
 
+#include <tbb/parallel_for.h>
+
+#include "xray_tracking_core/projection/exact_projection.h"
 #include "xray_tracking_core/volume/resampling.h"
 
 namespace xray_tracking
 {
-BodyRenderer::BodyRenderer(const ScalarVolume& volume, double footprint)
+namespace
+{
+/// Of each of up to four fields.
+constexpr std::size_t kFieldBytes = std::size_t{ 64 } << 20;
+
+/// Every point's line integral by `integrate(ray)`, rays in the body's frame.
+template <typename Integrate>
+void castRays(const ProjectionGeometry& geometry, const PixelGrid& pixels, const RigidTransform& room_from_body,
+              cv::Mat& line_integrals, Integrate integrate)
+{
+  const RigidTransform body_from_room = room_from_body.inverse();
+  line_integrals.create(pixels.size.y(), pixels.size.x(), CV_32FC1);
+  tbb::parallel_for(0, line_integrals.rows,
+                    [&](int v)
+                    {
+                      for (int u = 0; u < line_integrals.cols; ++u)
+                      {
+                        const Ray ray =
+                            geometry.backProject(pixels.first + Eigen::Vector2d(u, v).cwiseProduct(pixels.step));
+                        line_integrals.at<float>(v, u) = static_cast<float>(
+                            integrate(Ray{ body_from_room * ray.source, body_from_room.linear() * ray.direction }));
+                      }
+                    });
+}
+}  // namespace
+
+BodyRenderer::BodyRenderer(const ScalarVolume& volume, double footprint, Projector projector)
 {
   const ScalarVolume half = halved(volume);
   const Eigen::Vector3d variance = Eigen::Vector3d::Constant(footprint * footprint / 12.0);
   for (const ScalarVolume& level : { filtered(volume, variance), half })
   {
-    levels_.push_back({ level.grid.spacing().minCoeff(), std::make_unique<ShearWarpRenderer>(level) });
+    const double edge = level.grid.spacing().minCoeff();
+    levels_.push_back({ edge, std::make_unique<ShearWarpRenderer>(level), nullptr, nullptr });
+    if (projector != Projector::SHEAR_WARP)
+    {
+      levels_.back().volume = std::make_shared<const ScalarVolume>(level);
+    }
+    if (projector == Projector::ATTENUATION_FIELD)
+    {
+      levels_.back().field = std::make_unique<AttenuationField>(levels_.back().volume, 0.5 * edge, kFieldBytes);
+    }
   }
 }
 
-const ShearWarpRenderer& BodyRenderer::suiting(const ProjectionGeometry& geometry, const PixelGrid& pixels,
-                                               const Eigen::Vector3d& centre) const
+const BodyRenderer::Level& BodyRenderer::suiting(const ProjectionGeometry& geometry, const PixelGrid& pixels,
+                                                 const Eigen::Vector3d& centre) const
 {
   const double step = pixels.step.cwiseProduct(geometry.pixelPitch()).minCoeff() / geometry.magnification(centre);
   const auto coarser =
       std::find_if(levels_.rbegin(), levels_.rend(), [&](const Level& level) { return level.edge <= 1.001 * step; });
-  return coarser == levels_.rend() ? *levels_.front().renderer : *coarser->renderer;
+  return coarser == levels_.rend() ? levels_.front() : *coarser;
 }
 
 void BodyRenderer::renderWithDerivatives(const ProjectionGeometry& geometry, const PixelGrid& pixels,
@@ -30,14 +68,28 @@ void BodyRenderer::renderWithDerivatives(const ProjectionGeometry& geometry, con
                                          cv::Mat& line_integrals, cv::Mat& derivatives) const
 {
   suiting(geometry, pixels, centre)
-      .renderWithDerivatives(geometry, pixels, room_from_body, centre, line_integrals, derivatives);
+      .renderer->renderWithDerivatives(geometry, pixels, room_from_body, centre, line_integrals, derivatives);
 }
 
 void BodyRenderer::render(const ProjectionGeometry& geometry, const PixelGrid& pixels,
                           const RigidTransform& room_from_body, const Eigen::Vector3d& centre,
                           cv::Mat& line_integrals) const
 {
-  suiting(geometry, pixels, centre).render(geometry, pixels, room_from_body, line_integrals);
+  const Level& level = suiting(geometry, pixels, centre);
+  if (level.field)
+  {
+    castRays(geometry, pixels, room_from_body, line_integrals,
+             [&](const Ray& ray) { return level.field->lineIntegral(ray); });
+  }
+  else if (level.volume)
+  {
+    castRays(geometry, pixels, room_from_body, line_integrals,
+             [&](const Ray& ray) { return integrateTrilinear(*level.volume, ray); });
+  }
+  else
+  {
+    level.renderer->render(geometry, pixels, room_from_body, line_integrals);
+  }
 }
 
 std::size_t BodyRenderer::memory() const
@@ -46,7 +98,24 @@ std::size_t BodyRenderer::memory() const
   for (const Level& level : levels_)
   {
     bytes += level.renderer->memory();
+    bytes += level.volume ? level.volume->values.size() * sizeof(float) : 0;
+    bytes += level.field ? level.field->memory() : 0;
   }
   return bytes;
+}
+
+AttenuationField::Statistics BodyRenderer::fieldStatistics() const
+{
+  AttenuationField::Statistics sum{ 0, 0 };
+  for (const Level& level : levels_)
+  {
+    if (level.field)
+    {
+      const AttenuationField::Statistics statistics = level.field->statistics();
+      sum.lookups += statistics.lookups;
+      sum.hits += statistics.hits;
+    }
+  }
+  return sum;
 }
 }  // namespace xray_tracking

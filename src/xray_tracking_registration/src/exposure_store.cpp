@@ -13,7 +13,11 @@ const ros::Duration kBackwardJump(1.0);
 }  // namespace
 
 ExposureStore::ExposureStore(std::vector<std::string> detectors, std::size_t capacity, bool with_seed)
-  : detectors_(std::move(detectors)), capacity_(capacity), with_seed_(with_seed), last_images_(detectors_.size())
+  : detectors_(std::move(detectors)),
+    capacity_(capacity),
+    with_seed_(with_seed),
+    last_images_(detectors_.size()),
+    last_camera_infos_(detectors_.size())
 {
 }
 
@@ -43,23 +47,29 @@ StoredExposure& ExposureStore::at(const ros::Time& stamp)
   return exposure;
 }
 
-void ExposureStore::addImage(std::size_t detector, const sensor_msgs::ImageConstPtr& image)
+void ExposureStore::noteArrival(const ros::Time& stamp, ros::Time& last)
 {
-  const ros::Time& stamp = image->header.stamp;
-  if (stamp < last_images_[detector] && last_images_[detector] - stamp > kBackwardJump)
+  if (stamp < last && last - stamp > kBackwardJump)
   {
     exposures_.clear();
     displaced_.clear();
     last_answered_.reset();
     last_images_.assign(detectors_.size(), ros::Time());
+    last_camera_infos_.assign(detectors_.size(), ros::Time());
     restarted_ = true;
   }
-  last_images_[detector] = stamp;
-  at(stamp).images[detector] = image;
+  last = stamp;
+}
+
+void ExposureStore::addImage(std::size_t detector, const sensor_msgs::ImageConstPtr& image)
+{
+  noteArrival(image->header.stamp, last_images_[detector]);
+  at(image->header.stamp).images[detector] = image;
 }
 
 void ExposureStore::addCameraInfo(std::size_t detector, const sensor_msgs::CameraInfoConstPtr& camera_info)
 {
+  noteArrival(camera_info->header.stamp, last_camera_infos_[detector]);
   at(camera_info->header.stamp).camera_infos[detector] = camera_info;
 }
 

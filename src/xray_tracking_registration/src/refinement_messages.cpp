@@ -48,6 +48,25 @@ void readBound(const char* key, double value, double millimetres_per_unit, doubl
     bound = value * millimetres_per_unit;
   }
 }
+RegistrationView viewOf(const ProjectionGeometry& detector, const sensor_msgs::ImageConstPtr& image,
+                        const sensor_msgs::CameraInfo& info, const tf2_ros::Buffer& tf_buffer)
+{
+  if (image->encoding != encodings::MONO16 && image->encoding != encodings::MONO8)
+  {
+    throw std::invalid_argument("image.encoding is '" + image->encoding + "', expected mono16 or mono8");
+  }
+  if (image->width != info.width || image->height != info.height)
+  {
+    throw std::invalid_argument("the image is " + std::to_string(image->width) + " x " + std::to_string(image->height) +
+                                ", expected camera_info's " + std::to_string(info.width) + " x " +
+                                std::to_string(info.height));
+  }
+  const RigidTransform room_from_optical =
+      rigidFromTransformMsg(tf_buffer.lookupTransform(kRoomFrame, info.header.frame_id, ros::Time(0)).transform);
+  // Pixels are shared with the message where they can be, which outlives the view.
+  return { geometryFromCameraInfo(detector.name(), info, room_from_optical, detector.sourceToDetector()),
+           cv_bridge::toCvShare(image)->image };
+}
 }  // namespace
 
 std::vector<RegistrationView> viewsOf(const StoredExposure& exposure, const TreatmentSetup& setup,
@@ -56,24 +75,14 @@ std::vector<RegistrationView> viewsOf(const StoredExposure& exposure, const Trea
   std::vector<RegistrationView> views;
   for (std::size_t i = 0; i < setup.detectors.size(); ++i)
   {
-    const std::string& name = setup.detectors[i].name();
-    const sensor_msgs::ImageConstPtr& image = exposure.images[i];
-    const sensor_msgs::CameraInfo& info = *exposure.camera_infos[i];
-    if (image->encoding != encodings::MONO16 && image->encoding != encodings::MONO8)
+    try
     {
-      throw std::invalid_argument(name + ": image.encoding is '" + image->encoding + "', expected mono16 or mono8");
+      views.push_back(viewOf(setup.detectors[i], exposure.images[i], *exposure.camera_infos[i], tf_buffer));
     }
-    if (image->width != info.width || image->height != info.height)
+    catch (const std::exception& error)  // tf2's and cv_bridge's too
     {
-      throw std::invalid_argument(name + ": the image is " + std::to_string(image->width) + " x " +
-                                  std::to_string(image->height) + ", expected camera_info's " +
-                                  std::to_string(info.width) + " x " + std::to_string(info.height));
+      throw std::invalid_argument(setup.detectors[i].name() + ": " + error.what());
     }
-    const RigidTransform room_from_optical =
-        rigidFromTransformMsg(tf_buffer.lookupTransform(kRoomFrame, info.header.frame_id, ros::Time(0)).transform);
-    views.push_back({ geometryFromCameraInfo(name, info, room_from_optical, setup.detectors[i].sourceToDetector()),
-                      // Copied where rows are padded or bytes swapped; the cv::Mat does not keep the message alive.
-                      cv_bridge::toCvShare(image)->image });
   }
   return views;
 }

@@ -103,11 +103,11 @@ public:
     bodies_.centre = box.center();
     voxel_edge_ = std::cbrt(std::abs(bodies.target.grid.patient_from_index.linear().determinant()));
     const double footprint = std::max(kFine.bin_mm / kUsualMagnification, voxel_edge_);
-    bodies_.target = std::make_unique<BodyRenderer>(bodies.target, footprint);
+    bodies_.target = std::make_unique<BodyRenderer>(bodies.target, footprint, options.projector);
     if (!bodies.rest.values.empty())
     {
       // A nuisance, and most of the voxels. As it deforms, which the model does not, a smooth one also fits the better.
-      bodies_.rest = std::make_unique<BodyRenderer>(halved(bodies.rest), footprint);
+      bodies_.rest = std::make_unique<BodyRenderer>(halved(bodies.rest), footprint, options.projector);
     }
     moving_ = bodies_.rest && options.rest == RestMotion::ESTIMATED ? Moving::BOTH : Moving::TARGET;
   }
@@ -132,6 +132,18 @@ public:
     result.renderings = control.renderings;
     result.duration = control.elapsed();
     return result;
+  }
+
+  AttenuationField::Statistics fieldStatistics() const
+  {
+    AttenuationField::Statistics sum = bodies_.target->fieldStatistics();
+    if (bodies_.rest)
+    {
+      const AttenuationField::Statistics rest = bodies_.rest->fieldStatistics();
+      sum.lookups += rest.lookups;
+      sum.hits += rest.hits;
+    }
+    return sum;
   }
 
   std::size_t memory() const { return bodies_.target->memory() + (bodies_.rest ? bodies_.rest->memory() : 0); }
@@ -382,5 +394,10 @@ RegistrationResult Registration::run(const RegistrationRequest& request) const
 std::size_t Registration::memory() const
 {
   return implementation_->memory();
+}
+
+AttenuationField::Statistics Registration::fieldStatistics() const
+{
+  return implementation_->fieldStatistics();
 }
 }  // namespace xray_tracking

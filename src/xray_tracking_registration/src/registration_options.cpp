@@ -20,6 +20,10 @@ void RegistrationOptions::validate() const
   };
   checkSimilarity("min_similarity", min_similarity);
   checkSimilarity("min_coarse_similarity", min_coarse_similarity);
+  if (projector != Projector::SHEAR_WARP && optimiser == Optimiser::GAUSS_NEWTON)
+  {
+    throw std::invalid_argument("projector is not shear_warp: expected a derivative-free optimiser with it");
+  }
   if (!(max_deviation_mm > 0.0))
   {
     std::ostringstream text;

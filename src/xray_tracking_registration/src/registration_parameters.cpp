@@ -86,8 +86,6 @@ RegistrationParameters readRegistrationParameters(const ros::NodeHandle& pnh)
   read(reader, "setup_file", parameters.setup_file);
   read(reader, "source", parameters.source);
   requireOneOf("source", parameters.source, "phantom", "ct");
-  read(reader, "phantom_voxel_mm", parameters.phantom_voxel_mm);
-  requireInRange("phantom_voxel_mm", parameters.phantom_voxel_mm, 0.5, 5.0);
   read(reader, "bodies", parameters.bodies);
   requireOption(parameters.bodies == 1 || parameters.bodies == 2, "bodies", parameters.bodies, "1 or 2");
   readNamed(reader, "rest", kRestMotions, parameters.options.rest);

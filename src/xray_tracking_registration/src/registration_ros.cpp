@@ -77,11 +77,6 @@ void RegistrationRos::start()
       throw std::invalid_argument(configuration_fault_);
     }
     setup_ = loadTreatmentSetup(parameters_.setup_file);
-    if (parameters_.source == "ct" && setup_.ct_path.empty())
-    {
-      throw std::invalid_argument("ct is absent in " + parameters_.setup_file +
-                                  ", expected the path of a CT (source: ct)");
-    }
   }
   catch (const std::exception& error)
   {
@@ -143,7 +138,7 @@ void RegistrationRos::subscribe()
 
 std::string RegistrationRos::load(const std::string& ct_path)
 {
-  const std::string what = ct_path.empty() ? "the phantom's CT" : ct_path;
+  const std::string what = ct_path.empty() ? "the CT of " + parameters_.source : ct_path;
   std::shared_ptr<const Registration> registration;
   std::string fault;
   try
@@ -175,20 +170,12 @@ std::string RegistrationRos::load(const std::string& ct_path)
 
 std::shared_ptr<const Registration> RegistrationRos::makeRegistration(const std::string& ct_path) const
 {
-  CtVolume ct;
-  if (ct_path.empty())
+  if (ct_path.empty() && parameters_.source == "ct")
   {
-    PhantomCtOptions options;
-    const Eigen::Vector3d extent = options.size.cast<double>().cwiseProduct(options.spacing);
-    options.spacing.setConstant(parameters_.phantom_voxel_mm);
-    options.slice_thickness = parameters_.phantom_voxel_mm;
-    options.size = (extent / parameters_.phantom_voxel_mm).cast<int>();
-    ct = NeckPhantom().sampleCt(options);
+    throw std::invalid_argument("ct is absent in " + parameters_.setup_file +
+                                ", expected the path of a CT (source: ct)");
   }
-  else
-  {
-    ct = readCtVolume(ct_path);
-  }
+  const CtVolume ct = ct_path.empty() ? NeckPhantom().sampleCt({}) : readCtVolume(ct_path);
   if (parameters_.bodies == 1)
   {
     return std::make_shared<const Registration>(oneBody(ct), setup_.target_box, parameters_.options);
@@ -286,15 +273,20 @@ RegistrationRos::RefinementResult RegistrationRos::refineExposure(const Exposure
   {
     RegistrationRequest request = requestFor(due.exposure, [this](const RegistrationProgress&) { return !stop_; });
     request.room_from_patient = accepted_pose_;
+    std::string remark;
     if (parameters_.method == RefinementMethod::TRACKING_AND_REGISTRATION)
     {
-      if (due.exposure.motion->state != PatientMotion::OK)
+      if (due.exposure.motion->state == PatientMotion::OK)
       {
-        return resultMessage(RefinementResult::NO_SEED, "tracking has no pose: " + due.exposure.motion->reason);
+        request.room_from_patient = rigidFromPoseMsg(due.exposure.pose->pose.pose);
       }
-      request.room_from_patient = rigidFromPoseMsg(due.exposure.pose->pose.pose);
+      else
+      {
+        remark = "; from the last accepted pose, as tracking has none: " + due.exposure.motion->reason;
+      }
     }
-    const RefinementResult result = run(*registration, request);
+    RefinementResult result = run(*registration, request);
+    result.reason += remark;
     if (result.status == RefinementResult::SUCCESS)
     {
       accepted_pose_ = rigidFromPoseMsg(result.pose.pose);

@@ -45,9 +45,10 @@ TEST_P(ImageLevelTest, DerivativesAgreeWithCentralDifferences)
 {
   const ProjectionGeometry& geometry = PhantomExposures::instance().views()[0];
   const Bodies bodies{ std::make_unique<BodyRenderer>(
-                           blobs({ { { 3, -4, 5 }, 0.02 }, { { -12, 9, -6 }, 0.015 }, { { 4, 14, -9 }, 0.01 } }), 1.0),
+                           blobs({ { { 3, -4, 5 }, 0.02 }, { { -12, 9, -6 }, 0.015 }, { { 4, 14, -9 }, 0.01 } }), 1.0,
+                           Projector::SHEAR_WARP),
                        std::make_unique<BodyRenderer>(blobs({ { { -14, 6, 10 }, 0.01 }, { { 12, -12, -2 }, 0.02 } }),
-                                                      1.0),
+                                                      1.0, Projector::SHEAR_WARP),
                        Eigen::Vector3d(2.0, 3.0, -1.0) };
   cv::Mat image(512, 512, CV_32FC1);
   cv::randu(image, 0.0, 1.0);  // derivatives do not depend on it
@@ -91,8 +92,8 @@ TEST(ImageLevel, ModelOfTheTruePoseIsLikeTheImage)
   const ViewLevel level(request.views[1].geometry, attenuation, cv::Rect(170, 170, 170, 170), { 3.2, 16.0 });
   ViewModel model;
   const BodyModel parts = phantom.bodies();
-  const Bodies bodies{ std::make_unique<BodyRenderer>(parts.target, 1.0),
-                       std::make_unique<BodyRenderer>(parts.rest, 1.0), phantom.centre() };
+  const Bodies bodies{ std::make_unique<BodyRenderer>(parts.target, 1.0, Projector::SHEAR_WARP),
+                       std::make_unique<BodyRenderer>(parts.rest, 1.0, Projector::SHEAR_WARP), phantom.centre() };
   level.model(bodies, { pose, pose }, Moving::TARGET, model);
   EXPECT_GT(model.image.dot(level.measured()), 0.95f);
 }

@@ -1,7 +1,9 @@
 #include "xray_tracking_registration/registration.h"
 
 #include <algorithm>
+#include <atomic>
 #include <limits>
+#include <thread>
 
 #include <gtest/gtest.h>
 
@@ -173,6 +175,36 @@ INSTANTIATE_TEST_SUITE_P(All, DerivativeFreeTest,
                                          std::make_tuple(Optimiser::BOBYQA, "gradient_difference"),
                                          std::make_tuple(Optimiser::NELDER_MEAD, "normalised_mutual_information")));
 
+TEST(Registration, AttenuationFieldGivesThePosesOfRayCasting)
+{
+  std::mt19937 random(8);
+  const KnownExposure exposure = randomExposure({ 2.0, 1.0, 0.0, 0.0 }, random);
+  std::vector<RigidTransform> poses;
+  for (const Projector projector : { Projector::RAY_CASTING, Projector::ATTENUATION_FIELD })
+  {
+    RegistrationOptions options;
+    options.optimiser = Optimiser::BOBYQA;
+    options.projector = projector;
+    const Registration registration(oneBody(phantom().ct()), phantom().targetBox(), options);
+    const RegistrationResult result = registration.run(exposure.request);
+    EXPECT_LT(error(result, exposure.gold), 0.8) << result.reason;
+    poses.push_back(result.room_from_patient);
+    const AttenuationField::Statistics statistics = registration.fieldStatistics();
+    RecordProperty("hits", std::to_string(statistics.hits));
+    RecordProperty("lookups", std::to_string(statistics.lookups));
+    if (projector == Projector::ATTENUATION_FIELD)
+    {
+      EXPECT_GT(statistics.hits, 0u);
+      EXPECT_LE(registration.memory(), std::size_t{ 300 } << 20);
+    }
+  }
+  // Both stop within BOBYQA's tolerance of optima that differ by rounding rays to half a voxel.
+  EXPECT_LT(targetRegistrationError(poses[1], poses[0], phantom().targetBox()), 0.5);
+  RegistrationOptions options;
+  options.projector = Projector::RAY_CASTING;
+  EXPECT_THROW(Registration(phantom().bodies(), phantom().targetBox(), options), std::invalid_argument);
+}
+
 TEST(Registration, ReturnsTheBestSoFarWhenTimeIsUp)
 {
   KnownExposure exposure = someExposure();
@@ -208,6 +240,37 @@ TEST(Registration, TellsProgressAndStopsAtOnce)
   RegistrationResult start;
   start.room_from_patient = exposure.request.room_from_patient;
   EXPECT_LT(error(cancelled, exposure.gold), error(start, exposure.gold));
+}
+
+TEST(Registration, AnswersACancelWithin50Ms)
+{
+  // Far off, so that it tries other starts too; cancelled at any time by another thread, as a node does.
+  std::mt19937 random(7);
+  KnownExposure exposure = randomExposure({ 25.0, 12.0, 4.0, 2.0 }, random);
+  std::vector<double> latencies;
+  for (int n = 0; n < 21; ++n)
+  {
+    std::atomic<bool> cancelled(false);
+    exposure.request.progress = [&](const RegistrationProgress&) { return !cancelled; };
+    std::chrono::steady_clock::time_point cancelled_at;
+    std::thread canceller(
+        [&]
+        {
+          std::this_thread::sleep_for(std::chrono::milliseconds(2 * n));
+          cancelled_at = std::chrono::steady_clock::now();
+          cancelled = true;
+        });
+    const RegistrationResult result = twoBodies().run(exposure.request);
+    const auto returned = std::chrono::steady_clock::now();
+    canceller.join();
+    if (result.status == RegistrationStatus::CANCELLED)
+    {
+      latencies.push_back(std::chrono::duration<double, std::milli>(returned - cancelled_at).count());
+    }
+  }
+  ASSERT_GT(latencies.size(), 5u) << "ended before they were cancelled";
+  // The median, as single ones may wait for a core of a busy machine.
+  EXPECT_LT(quantile(latencies, 0.5), 50.0);
 }
 
 TEST(Registration, StaysWithinBounds)

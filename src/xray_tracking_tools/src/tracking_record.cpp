@@ -59,7 +59,7 @@ void readMessage(const rosbag::MessageInstance& instance, const std::string& top
       stamp_ns = nanosecondsFromTime(refined->header.stamp) - epoch_ns;
       if (refined->result.status > RefinementResult::BUSY)
       {
-        throw std::invalid_argument("status is " + std::to_string(refined->result.status) + ", expected 0 to 8");
+        throw std::invalid_argument("status is " + std::to_string(refined->result.status) + ", expected 0 to 7");
       }
       if (!record.refined_poses.empty() && record.refined_poses.begin()->second.method != refined->method)
       {

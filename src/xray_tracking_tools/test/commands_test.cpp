@@ -9,6 +9,7 @@
 #include "test_helpers.h"
 #include "xray_tracking_core/sequence/treatment_setup.h"
 #include "xray_tracking_core/volume/ct_volume.h"
+#include "xray_tracking_tools/exposure_set.h"
 
 namespace xray_tracking
 {
@@ -116,6 +117,25 @@ TEST(SequenceToBag, doesNotReplaceAGoodBagByAFailure)
   std::filesystem::remove(folder.file("image_a2.png"));
   EXPECT_EQ(1, run("sequence_to_bag " + folder.file("") + " " + folder.file("out.bag")).status);
   EXPECT_EQ(8U, std::filesystem::file_size(folder.file("out.bag")));
+}
+
+TEST(Observability, ofTwoOrthogonalViews)
+{
+  const TemporaryFolder folder;
+  folder.write("setup.yaml", R"(
+detectors: )" + coreConfigPath("geometry/cyberknife.yaml") +
+                                 R"(
+initial_pose: { translation_mm: [0, 0, 0], rotation_xyzw: [0, 0, 0, 1] }
+target_box_mm: { min: [-25, -25, -25], max: [25, 25, 25] }
+)");
+  const CommandResult result = run("observability " + folder.file("setup.yaml"));
+  EXPECT_EQ(0, result.status) << result.output;
+  // A pixel of 0.4 mm at a magnification of 3800 / 2600 is 0.274 mm in the directions that one view sees.
+  EXPECT_TRUE(contains(result.output, "with 0.274 mm a pixel, condition 1.41")) << result.output;
+  EXPECT_TRUE(contains(result.output, "not seen")) << result.output;
+  EXPECT_FALSE(
+      contains(run("observability " + folder.file("setup.yaml") + " --model affine --bone").output, "not seen"));
+  EXPECT_TRUE(contains(run("observability " + folder.file("setup.yaml") + " --model rigid").output, "'rigid'"));
 }
 
 TEST(SequenceToBag, explainsItsUse)

@@ -8,6 +8,7 @@
 #include <rosbag/bag.h>
 #include <sensor_msgs/CameraInfo.h>
 #include <xray_tracking_msgs/PatientMotion.h>
+#include <xray_tracking_msgs/RefinedPose.h>
 
 namespace xray_tracking
 {
@@ -39,6 +40,18 @@ public:
   {
     motion(stamp, xray_tracking_msgs::PatientMotion::OK);
     pose(stamp, x, y, z);
+  }
+  void refined(const ros::Time& stamp, const std::string& method, int status, double x, double y, double z)
+  {
+    xray_tracking_msgs::RefinedPose message;
+    message.header.stamp = stamp;
+    message.method = method;
+    message.result.status = status;
+    message.result.reason = "status " + std::to_string(status);
+    message.result.pose.pose = poseMessage(x, y, z);
+    message.cpu_time = ros::Duration(0.03);
+    message.wall_time = ros::Duration(0.02);
+    bag_.write("/refined_pose", stamp, message);
   }
   void truth(const ros::Time& stamp, double x, double y, double z)
   {

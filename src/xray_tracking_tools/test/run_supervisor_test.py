@@ -12,7 +12,7 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from sensor_msgs.msg import CameraInfo
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool, SetBoolResponse, Trigger, TriggerResponse
-from xray_tracking_msgs.msg import PatientMotion, TrackedRegion
+from xray_tracking_msgs.msg import PatientMotion, RefinedPose, TrackedRegion
 
 WAIT_S = 60.0
 
@@ -29,6 +29,7 @@ class Graph:
         self.requests = []
         self.refusals = refusals
         self.motion = self.publisher("patient_motion", PatientMotion)
+        self.refined = self.publisher("refined_pose", RefinedPose)
         self.pose = self.publisher("patient_pose", PoseWithCovarianceStamped)
         self.info = {d: self.publisher(d + "/camera_info", CameraInfo) for d in ("detector_a", "detector_b")}
         self.region = {d: self.publisher(d + "/tracked_region", TrackedRegion) for d in ("detector_a", "detector_b")}
@@ -113,6 +114,29 @@ class RunSupervisorTest(unittest.TestCase):
             listener.terminate()
             listener.wait()
 
+    def test_refined_poses_are_waited_for(self):
+        graph = Graph("refined")
+        process = graph.supervise(exposures=2, method="registration")
+        self.wait_for(lambda: len(graph.requests) == 1, "call of start")
+        for k in range(2):
+            graph.expose(k)
+        graph.refined.publish(RefinedPose(header=header(rospy.Time(10))))
+        time.sleep(2.0)
+        self.assertIsNone(process.poll(), "ended before the last refined pose")
+        graph.refined.publish(RefinedPose(header=header(rospy.Time(11))))
+        status, output = self.end_of(process)
+        self.assertEqual(status, 0, output)
+
+        graph = Graph("unrefined")
+        process = graph.supervise(exposures=2, method="tracking_and_registration", stall_timeout=2.0)
+        self.wait_for(lambda: len(graph.requests) == 1, "call of start")
+        for k in range(2):
+            graph.expose(k)
+        status, output = self.end_of(process)
+        self.assertEqual(status, 1, output)
+        self.assertIn("stalled: 0 of 2 exposures were answered, no new patient_motion or refined_pose", output)
+        self.assertIn("2 answers on patient_motion, 0 on refined_pose", output)
+
     def test_playback(self):
         graph = Graph("playback", service=SetBool)
         process = graph.supervise(exposures=1, start_mode="playback")
@@ -159,6 +183,7 @@ class RunSupervisorTest(unittest.TestCase):
     def test_bad_parameters(self):
         cases = [({}, "~exposures is 0"), ({"exposures": -3}, "~exposures is -3"),
                  ({"exposures": 3, "start_mode": "both"}, "~start_mode is 'both'"),
+                 ({"exposures": 3, "method": "guessing"}, "~method is 'guessing'"),
                  ({"exposures": 3, "stall_timeout": 0.0}, "~stall_timeout is 0"),
                  ({"exposures": 3, "detectors": "detector_a"}, "~detectors is not a list"),
                  ({"exposures": 3, "required_subscribers": ["a"]}, "~required_subscribers is not a map"),

@@ -96,6 +96,47 @@ TEST(TrackingRecord, judgesWithoutGoldStandard)
             unansweredExposures(evaluation, record).at(1));
 }
 
+TEST(TrackingRecord, judgesRefinedPosesAsAMethodOfTheirOwn)
+{
+  using xray_tracking_msgs::RefinementResult;
+  const TemporaryFolder folder;
+  for (const std::string method : { "registration", "tracking_and_registration" })
+  {
+    RecordedRun run(folder.file("run.bag"));
+    for (int k = 0; k < 4; ++k)
+    {
+      run.truth(ros::Time(50 + k, 0), 0, 0, 0);
+      run.answer(ros::Time(50 + k, 0), 0, 3, 0);
+    }
+    run.refined(ros::Time(50, 0), method, RefinementResult::SUCCESS, 0, 0, 0);
+    run.refined(ros::Time(51, 0), method, RefinementResult::SUCCESS, 0.25, 0, 0);
+    run.refined(ros::Time(52, 0), method, RefinementResult::UNRELIABLE, 9, 9, 9);
+    run.close();
+    const TrackingRecord record = readTrackingRecord(folder.file("run.bag"), 0);
+    const Evaluation evaluation = evaluateRecord(record, "phantom", kBox);
+    ASSERT_EQ(2U, evaluation.methods.size());
+    EXPECT_EQ("tracking", evaluation.methods[0].method);
+    EXPECT_EQ(method, evaluation.methods[1].method);
+    const std::vector<FrameResult>& frames = evaluation.methods[1].frames;
+    ASSERT_EQ(4U, frames.size());
+    EXPECT_EQ(FrameStatus::OK, frames[1].status);
+    EXPECT_EQ(FrameStatus::LOST, frames[2].status);
+    EXPECT_EQ(FrameStatus::FAILED, frames[3].status);
+    // Registration after tracking has cost tracking too.
+    const bool after = method == "tracking_and_registration";
+    EXPECT_NEAR(after ? 0.032 : 0.03, frames[2].cpu_s, 1e-12);
+    EXPECT_NEAR(after ? 0.023 : 0.02, frames[2].wall_s, 1e-12);
+    const std::vector<MethodSummary> summaries = summarize(evaluation);
+    ASSERT_EQ(3U, summaries.size());
+    EXPECT_EQ(3U, summaries[1].tre_mm.size());
+    ASSERT_EQ(1U, summaries[2].tre_mm.size());
+    EXPECT_NEAR(0.25, summaries[2].tre_mm[0], 1e-9);
+    EXPECT_EQ(std::vector<std::string>({ "frame 2 (52.0000 s) of " + method + " lost: status 1",
+                                         "frame 3 (53.0000 s) of " + method + " failed: no refined_pose" }),
+              unansweredExposures(evaluation, record));
+  }
+}
+
 TEST(TrackingRecord, judgesAPlayedSequence)
 {
   const TemporaryFolder folder;
@@ -149,6 +190,15 @@ TEST(TrackingRecord, namesWhatIsWrong)
                              run.motion(ros::Time(6, 0), PatientMotion::LOST);
                            }),
                        "the exposure at 6.0000 s has no patient_ground_truth"));
+  EXPECT_TRUE(contains(errorOfRun([](RecordedRun& run) { run.refined(ros::Time(5, 0), "registration", 77, 0, 0, 0); }),
+                       "status is 77"));
+  EXPECT_TRUE(contains(errorOfRun(
+                           [](RecordedRun& run)
+                           {
+                             run.refined(ros::Time(5, 0), "registration", 0, 0, 0, 0);
+                             run.refined(ros::Time(6, 0), "guessing", 0, 0, 0, 0);
+                           }),
+                       "method is guessing, that of others is registration"));
   EXPECT_TRUE(contains(errorOfRun([](RecordedRun&) {}), "no exposure"));
   EXPECT_TRUE(contains(errorOf([&folder] { readTrackingRecord(folder.file("none.bag"), 0); }), "none.bag"));
 

@@ -44,6 +44,9 @@ geometry_msgs::Vector3 vectorMsgFromMillimetres(const Eigen::Vector3d& vector);
 geometry_msgs::PoseWithCovariance poseWithCovarianceMsg(const RigidTransform& transform,
                                                         const Eigen::Matrix<double, 6, 6>& covariance);
 
+/// The covariance of such a message, in mm and rad. @throws std::invalid_argument if it is not finite
+Eigen::Matrix<double, 6, 6> covarianceFromPoseMsg(const geometry_msgs::PoseWithCovariance& message);
+
 /// Row-major. @param covariance [mm^2]; @return [m^2]
 boost::array<double, 9> covarianceMsgFromMillimetres(const Eigen::Matrix3d& covariance);
 

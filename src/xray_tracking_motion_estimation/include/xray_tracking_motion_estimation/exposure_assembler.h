@@ -3,18 +3,20 @@
 #include <algorithm>
 #include <cstddef>
 #include <cstdint>
-#include <iterator>
-#include <map>
+#include <cstdlib>
 #include <optional>
 #include <utility>
 #include <vector>
 
 namespace xray_tracking
 {
-/// Puts together what the views of one exposure sent: items of exactly the same stamp. Exposures come out complete and
-/// in the order of their stamps; whatever else arrives is counted.
+/// Puts together what the views of one exposure sent: items of the same stamp, or of stamps that differ by no more than
+/// a tolerance. Exposures come out complete and in the order of their stamps; whatever else arrives is counted. A
+/// view's own items are expected in the order of their stamps, the views relative to each other in any order.
 ///
 /// A recording that starts again is recognised by a complete exposure more than a second older than the last one.
+///
+/// Memory is allocated by the constructor only.
 template <typename Item>
 class ExposureAssembler
 {
@@ -27,57 +29,82 @@ public:
     LATE  ///< the exposure is older than one that has been completed
   };
 
-  /// @param capacity number of incomplete exposures kept, 1 or more
-  ExposureAssembler(std::size_t views, std::size_t capacity) : views_(views), capacity_(capacity) {}
+  /// @param capacity number of incomplete exposures kept, 1 or more; what has waited longest gives way
+  /// @param tolerance of stamps of one exposure [ns], less than half the time between exposures; 0: the same stamp
+  ExposureAssembler(std::size_t views, std::size_t capacity, std::int64_t tolerance = 0)
+    : views_(views), capacity_(capacity), tolerance_(tolerance), expected_(views, true), slots_(capacity + 1)
+  {
+    for (Slot& slot : slots_)
+    {
+      slot.items.resize(views);
+      slot.stamps.resize(views);
+    }
+    exposure_.reserve(views);
+    stamps_.resize(views);
+  }
+
+  /// Whether exposures wait for this view, as they do at first. One that is not waited for and not there is an Item() in
+  /// exposure().
+  void expect(std::size_t view, bool expected) { expected_[view] = expected; }
 
   /// @param stamp exposure time [ns]
   Outcome add(std::size_t view, std::int64_t stamp, Item item)
   {
-    if (last_ && stamp == *last_)
-    {
-      ++duplicates_;
-      return Outcome::DUPLICATE;
-    }
-    if (last_ && stamp < *last_ && stamp >= *last_ - kBackwardJump)
+    if (!exposure_.empty() && stamp < stamps_[view] && stamp >= stamps_[view] - kBackwardJump)
     {
       ++late_;
       return Outcome::LATE;
     }
-    const auto [entry, is_new] = pending_.try_emplace(stamp);
-    auto& items = entry->second.items;
-    if (is_new)
-    {
-      items.resize(views_);
-      entry->second.number = ++number_;
-    }
-    if (items[view])
+    const auto waiting = slots_.begin() + static_cast<std::ptrdiff_t>(used_);
+    const bool known = std::any_of(slots_.begin(), waiting,
+                                   [&](const Slot& slot) { return slot.items[view] && slot.stamps[view] == stamp; });
+    if (known || (!exposure_.empty() && stamp == stamps_[view]))
     {
       ++duplicates_;
       return Outcome::DUPLICATE;
     }
-    items[view] = std::move(item);
-    if (!std::all_of(items.begin(), items.end(), [](const auto& i) { return i.has_value(); }))
+
+    auto slot = waiting;
+    for (auto candidate = slots_.begin(); candidate != waiting; ++candidate)
     {
-      if (pending_.size() > capacity_)
+      const std::int64_t apart = std::abs(candidate->stamp - stamp);
+      if (!candidate->items[view] && apart <= tolerance_ && (slot == waiting || apart < std::abs(slot->stamp - stamp)))
       {
-        // The one that came first, not the one of the lowest stamp: that may be the first after a backward jump.
-        const auto first =
-            std::min_element(pending_.begin(), pending_.end(),
-                             [](const auto& a, const auto& b) { return a.second.number < b.second.number; });
-        giveUp(first, std::next(first));
+        slot = candidate;
       }
-      return Outcome::PENDING;
     }
-    complete(stamp);
-    return Outcome::COMPLETE;
+    if (slot == waiting)
+    {
+      slot->stamp = stamp;
+      ++used_;
+    }
+    slot->stamps[view] = stamp;
+    slot->items[view] = std::move(item);
+    if (isComplete(*slot))
+    {
+      complete(slot);
+      return Outcome::COMPLETE;
+    }
+    if (used_ > capacity_)
+    {
+      incomplete_ += giveUp([&](const Slot& other) { return &other == &slots_.front(); });
+    }
+    return Outcome::PENDING;
   }
 
   /// The items of the last complete exposure, one a view.
   const std::vector<Item>& exposure() const { return exposure_; }
 
+  /// The last complete exposure's stamp: the first view's [ns].
+  std::int64_t stamp() const { return stamps_.front(); }
+
+  /// How much later than stamp() a view's item of the last complete exposure was exposed [ns].
+  std::int64_t offset(std::size_t view) const { return stamps_[view] - stamps_.front(); }
+
   /// True if the last complete exposure is the first one after a backward jump of time.
   bool restarted() const { return restarted_; }
 
+  std::size_t pending() const { return used_; }           ///< incomplete exposures
   std::size_t incomplete() const { return incomplete_; }  ///< exposures that were given up because a view is missing
   std::size_t duplicates() const { return duplicates_; }  ///< items
   std::size_t late() const { return late_; }              ///< items
@@ -85,43 +112,77 @@ public:
 private:
   static constexpr std::int64_t kBackwardJump = 1000000000;  // ns
 
-  void complete(std::int64_t stamp)
+  struct Slot
   {
-    const auto entry = pending_.find(stamp);
-    exposure_.clear();
-    for (std::optional<Item>& item : entry->second.items)
+    std::int64_t stamp = 0;  ///< its first item's
+    std::vector<std::int64_t> stamps;
+    std::vector<std::optional<Item>> items;
+  };
+  using SlotIterator = typename std::vector<Slot>::iterator;
+
+  bool isComplete(const Slot& slot) const
+  {
+    for (std::size_t view = 0; view < views_; ++view)
     {
-      exposure_.push_back(std::move(*item));
+      if (expected_[view] && !slot.items[view])
+      {
+        return false;
+      }
     }
-    restarted_ = last_ && stamp < *last_;
-    if (restarted_)
-    {
-      // What is newer than the jump's start belongs to the time before it.
-      giveUp(pending_.upper_bound(*last_), pending_.end());
-    }
-    giveUp(pending_.begin(), entry);
-    pending_.erase(entry);
-    last_ = stamp;
+    return true;
   }
 
-  struct Exposure
+  void complete(SlotIterator slot)
   {
-    std::vector<std::optional<Item>> items;  ///< one a view
-    std::uint64_t number = 0;                ///< order of arrival
-  };
-  using Pending = std::map<std::int64_t, Exposure>;
-  void giveUp(typename Pending::iterator begin, typename Pending::iterator end)
+    const bool first = exposure_.empty();
+    const std::int64_t last = stamps_.front();
+    exposure_.clear();
+    for (std::size_t view = 0; view < views_; ++view)
+    {
+      exposure_.push_back(slot->items[view] ? std::move(*slot->items[view]) : Item());
+      stamps_[view] = slot->items[view] ? slot->stamps[view] : slot->stamp;
+    }
+    restarted_ = !first && stamps_.front() < last;
+
+    // What began to wait before this exposure and is older was overtaken; what began later and is older belongs to a
+    // recording that starts again. After such a start, what is newer than its end belongs to the time before it.
+    const std::int64_t stamp = slot->stamp;
+    const Slot* const completed = &*slot;
+    incomplete_ += giveUp(
+                       [&](const Slot& other) {
+                         return &other == completed || (&other < completed && other.stamp < stamp) ||
+                                (restarted_ && other.stamp > last);
+                       }) -
+                   1;  // the completed one itself is none
+  }
+
+  /// @return how many
+  template <typename Predicate>
+  std::size_t giveUp(const Predicate& predicate)
   {
-    incomplete_ += static_cast<std::size_t>(std::distance(begin, end));
-    pending_.erase(begin, end);
+    std::size_t kept = 0;
+    for (std::size_t i = 0; i < used_; ++i)
+    {
+      if (predicate(slots_[i]))
+      {
+        std::fill(slots_[i].items.begin(), slots_[i].items.end(), std::nullopt);
+      }
+      else
+      {
+        std::swap(slots_[kept++], slots_[i]);
+      }
+    }
+    return std::exchange(used_, kept) - kept;
   }
 
   std::size_t views_;
   std::size_t capacity_;
-  Pending pending_;
-  std::uint64_t number_ = 0;
+  std::int64_t tolerance_;
+  std::vector<bool> expected_;
+  std::vector<Slot> slots_;  ///< the first `used_` are in use, in the order in which they began to wait
+  std::size_t used_ = 0;
   std::vector<Item> exposure_;
-  std::optional<std::int64_t> last_;
+  std::vector<std::int64_t> stamps_;  ///< of exposure_
   bool restarted_ = false;
   std::size_t incomplete_ = 0;
   std::size_t duplicates_ = 0;

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <future>
 #include <optional>
 #include <string>
 #include <utility>
@@ -9,6 +10,7 @@
 #include <diagnostic_updater/diagnostic_updater.h>
 #include <ros/ros.h>
 #include <sensor_msgs/CameraInfo.h>
+#include <std_srvs/Trigger.h>
 #include <tf2_ros/buffer.h>
 #include <tf2_ros/transform_broadcaster.h>
 #include <tf2_ros/transform_listener.h>
@@ -17,17 +19,24 @@
 #include <xray_tracking_msgs/TrackedRegion.h>
 
 #include "xray_tracking_core/sequence/treatment_setup.h"
+#include "xray_tracking_motion_estimation/beam_gate_ros.h"
 #include "xray_tracking_motion_estimation/camera_info_watch.h"
+#include "xray_tracking_motion_estimation/consistency_monitor.h"
 #include "xray_tracking_motion_estimation/exposure_assembler.h"
+#include "xray_tracking_motion_estimation/motion_estimation_parameters.h"
 #include "xray_tracking_motion_estimation/motion_estimator.h"
 #include "xray_tracking_motion_estimation/pose_history.h"
+#include "xray_tracking_motion_estimation/pose_predictor.h"
+#include "xray_tracking_motion_estimation/refinement_client.h"
+#include "xray_tracking_motion_estimation/refinement_policy.h"
 
 namespace xray_tracking
 {
 /// The 3D motion of the patient from the regions tracked in two or more detectors; the only one that publishes tf
-/// treatment_room -> patient. Topics and parameters: README.md. All callbacks must come from one thread.
+/// treatment_room -> patient. Topics and parameters: README.md. All callbacks must come from one thread; none blocks.
 ///
-/// Parameters that it cannot work with are reported in the log and in diagnostics; it then stays idle.
+/// Parameters that it cannot work with are reported in the log and in diagnostics; it then stays idle, its
+/// beam gate closed.
 class MotionEstimationRos
 {
 public:
@@ -38,6 +47,13 @@ private:
   using PatientMotion = xray_tracking_msgs::PatientMotion;
   using TrackedRegion = xray_tracking_msgs::TrackedRegion;
 
+  /// Why a view takes no part in an exposure; OK if it does.
+  struct Doubt
+  {
+    std::uint8_t state = PatientMotion::OK;
+    std::string reason;
+  };
+
   struct View
   {
     std::string name;
@@ -46,41 +62,67 @@ private:
     CameraInfoWatch camera_info;
     RigidTransform room_from_optical;  ///< the one that the estimator uses, if there is one
     std::optional<std::pair<ros::Time, RigidTransform>> reference;  ///< what the template in use was trained on
+    Doubt doubt;                                                    ///< of the last exposure
+    std::string logged_doubt;                                       ///< while the others made a pose
     ros::SteadyTime last_arrival;
-    bool silent = false;
+    bool silent = false;  ///< not waited for while two others are there
     std::string logged_fault;  ///< of camera_info
   };
 
   void start();
   void trackedRegionCb(const TrackedRegion::ConstPtr& message, std::size_t view);
+  bool refineCb(std_srvs::Trigger::Request& request, std_srvs::Trigger::Response& response);
+  void refinementCb(const ros::SteadyTimerEvent& event);
   void timerCb(const ros::SteadyTimerEvent& event);
 
-  /// The state of the last complete exposure before anything is estimated; OK if it can be.
-  PatientMotion motionFromStates() const;
+  // Of the last complete exposure, in exposure_estimation.cpp. What they say to `motion` is why there is no pose.
+  std::optional<MotionEstimate> estimate(PatientMotion& motion);
+  /// @param region null if the view was not waited for
+  Doubt doubtOfState(const View& view, const TrackedRegion* region) const;
+  /// @return false, and the worst doubt in `motion`, if fewer than two views take part
+  bool enoughViews(PatientMotion& motion) const;
   /// Makes the estimator, or sees whether the geometry is still the one that it was made with; never estimates with
   /// another. @return what is wrong; empty if nothing is
   std::string checkGeometry();
-  /// @return which reference exposure's pose is not known; empty if all are
-  std::string findReferences();
-  std::optional<MotionEstimate> estimate(PatientMotion& motion);
+  /// Doubts views whose reference exposure's pose is not known.
+  void findReferences();
+  ViewMeasurement measure(std::size_t view) const;
+  void judgeConsistency(const MotionEstimate& estimate, PatientMotion& motion);
+
   void publishPose(const MotionEstimate& estimate, const ros::Time& stamp);
+  void publishPrediction();
+  void setSilent(std::size_t view, bool silent);
+  void tellGate(const PatientMotion& motion, const std::optional<MotionEstimate>& estimate);
+  Eigen::Vector3d displacement(const RigidTransform& room_from_patient) const;
+  void accept(const Refinement& refinement);
+  void forget();
+
+  // For people, in motion_estimation_diagnostics.cpp.
   void report(const PatientMotion& motion);
   void logMotion();
-  void forget();
   void diagnose(diagnostic_updater::DiagnosticStatusWrapper& status);
 
   ros::NodeHandle nh_;
   ros::NodeHandle pnh_;
   std::string configuration_fault_;  ///< empty if the node works
-  double view_timeout_ = 0.0;        ///< [s]
-  MotionEstimationOptions options_;
+  MotionEstimationParameters parameters_;
   TreatmentSetup setup_;
+  std::shared_future<TargetShape> shape_;  ///< may have to be read from a CT
 
   std::vector<View> views_;
   std::optional<ExposureAssembler<TrackedRegion::ConstPtr>> assembler_;
+  std::vector<ProjectionGeometry> geometries_;  ///< what the first estimator was made with; empty before
+  RigidTransform reference_;                    ///< pose that motion is counted from: the setup's until it is refined
   std::optional<MotionEstimator> estimator_;
+  std::string observability_;  ///< of the geometry, for people
+  std::optional<ConsistencyMonitor> consistency_;
   PoseHistory history_;
-  std::vector<ViewMeasurement> measurements_;
+  std::optional<RigidTransform> last_pose_;
+  std::vector<std::optional<ViewMeasurement>> measurements_;
+  std::optional<BeamGateRos> gate_;
+  std::optional<PosePredictor> predictor_;
+  std::optional<RefinementPolicy> refinement_;
+  std::optional<RefinementClient> refinement_client_;
 
   std::optional<PatientMotion> last_motion_;
   std::string logged_reason_;  ///< of the last motion that was logged
@@ -97,7 +139,10 @@ private:
   tf2_ros::TransformBroadcaster tf_broadcaster_;
   ros::Publisher pose_publisher_;
   ros::Publisher motion_publisher_;
+  ros::Publisher prediction_publisher_;
+  ros::ServiceServer refine_server_;
   diagnostic_updater::Updater updater_;
+  ros::SteadyTimer refinement_timer_;
   ros::SteadyTimer timer_;
 };
 }  // namespace xray_tracking

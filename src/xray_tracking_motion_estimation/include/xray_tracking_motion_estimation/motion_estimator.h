@@ -1,19 +1,30 @@
 #pragma once
 
+#include <cstddef>
+#include <optional>
 #include <string>
 #include <vector>
 
+#include <Eigen/Cholesky>
 #include <Eigen/Core>
+#include <boost/container/static_vector.hpp>
 
 #include "xray_tracking_core/geometry/projection_geometry.h"
 #include "xray_tracking_core/geometry/rigid_transform.h"
+#include "xray_tracking_motion_estimation/region_patch.h"
+#include "xray_tracking_motion_estimation/track.h"
 
 namespace xray_tracking
 {
+/// More views than anybody has; the estimate is made without the heap.
+constexpr std::size_t kMaxViews = 16;
+
 enum class EstimationMethod
 {
-  BACKPROJECTION,  ///< the paper's eqs. (2)-(7): linear, right for mutually orthogonal central views
-  LEAST_SQUARES    ///< weighted reprojection error, any number and orientation of views
+  /// The paper's eqs. (2)-(7), and the rotations that it sketches: linear, right for mutually orthogonal central views.
+  BACKPROJECTION,
+  /// Weighted reprojection error of one rigid motion, any number and orientation of views.
+  LEAST_SQUARES
 };
 
 /// @throws std::invalid_argument if `name` is neither "backprojection" nor "least_squares"
@@ -27,13 +38,17 @@ struct MotionEstimationOptions
   double significance = 0.001;
 
   /// Standard deviation of a track along either pixel axis that the tracker's own covariance does not know of [px], >
-  /// 0: surroundings that move otherwise, rotation, blur. Added to every track's covariance in weights, results and the
+  /// 0: surroundings that move otherwise, blur. Added to every track's covariance in weights, results and the
   /// consistency gate.
   double floor_sigma = 0.5;
 
-  /// Standard deviation of the patient's rotation about each room axis since the reference [rad], > 0. Rotation is not
-  /// measured; this is what the pose's covariance says of it.
-  double rotation_sigma = 0.0175;
+  /// The same for each of the four numbers of a track's linear part, > 0: what a rotation out of the plane does to a
+  /// region whose depth varies, surroundings. 0.01 makes an angle uncertain by 0.4 degrees.
+  double linear_floor_sigma = 0.005;
+
+  /// Standard deviation of the patient's rotation about each room axis since the reference pose, before anything is
+  /// measured [rad], > 0. What the tracks do not tell of the rotation is estimated as zero with this uncertainty.
+  double rotation_sigma = 0.0349;
 
   /// Views whose rays through the target are nowhere further apart than this are refused [rad], in (0, pi / 2).
   double min_view_angle = 0.0873;
@@ -46,15 +61,24 @@ struct MotionEstimationOptions
 struct ViewMeasurement
 {
   RigidTransform room_from_patient;  ///< pose at the exposure that the view's template was trained on
-  Eigen::Vector2d displacement;      ///< of the target since that exposure, along columns and rows [px]
-  Eigen::Matrix2d covariance;        ///< of the displacement [px^2], symmetric, positive semidefinite
+  Track track;
 };
 
 enum class EstimateStatus
 {
   OK,
   INCONSISTENT,  ///< the views disagree beyond the significance; every number of the estimate is filled in
+  UNOBSERVABLE,  ///< too few views, or as good as parallel ones, are left; the numbers are zero
   INVALID        ///< a measurement is not finite or not possible; the numbers are zero
+};
+
+/// How far one view's track is from where the estimate puts it.
+struct ViewResidual
+{
+  std::size_t view = 0;
+  Eigen::Vector2d residual = Eigen::Vector2d::Zero();    ///< displacement of the region's centre less estimate [px]
+  Eigen::Matrix2d covariance = Eigen::Matrix2d::Zero();  ///< of the displacement, with the floor [px^2]
+  Eigen::Matrix<double, 2, 3> jacobian = Eigen::Matrix<double, 2, 3>::Zero();  ///< by the target's centre [px / mm]
 };
 
 struct MotionEstimate
@@ -64,18 +88,22 @@ struct MotionEstimate
 
   /// Motion of the target's centre since the reference pose, room axes [mm].
   Eigen::Vector3d translation = Eigen::Vector3d::Zero();
-  Eigen::Matrix3d translation_covariance = Eigen::Matrix3d::Zero();  ///< [mm^2]
+  /// Rotation vector of the target about its centre since the reference pose, room axes [rad].
+  Eigen::Vector3d rotation = Eigen::Vector3d::Zero();
+  /// Of the target's centre [mm] and a further rotation vector about it, room axes [rad]. A direction of rotation that
+  /// was not seen has the options' variance.
+  Matrix6d covariance = Matrix6d::Zero();
 
-  /// The reference pose moved by `translation`, eq. (8); its rotation is the reference's.
+  /// The reference pose moved by the above, eq. (8).
   RigidTransform room_from_patient = RigidTransform::Identity();
-  /// Of (translation of the patient frame's origin [mm], rotation vector about the fixed room axes [rad]). Rotation
-  /// has the options' standard deviation; what it does to the origin, which may lie far from the target, is in the
-  /// translation block and in the correlation: carried to the target's centre it cancels.
-  Eigen::Matrix<double, 6, 6> pose_covariance = Eigen::Matrix<double, 6, 6>::Zero();
+  /// Of (translation of the patient frame's origin [mm], rotation vector about the fixed room axes [rad]): `covariance`
+  /// over the lever from the target to the origin, which may be long.
+  Matrix6d pose_covariance = Matrix6d::Zero();
 
   double disagreement = 0.0;   ///< RMS over the views of the distance between track and reprojected estimate [px]
-  double chi_square = 0.0;     ///< sum of squared residuals in units of track covariance and floor
-  int degrees_of_freedom = 0;  ///< of chi_square: two a view, less three
+  double chi_square = 0.0;     ///< squared residuals in units of track covariance and floor, rotation in its sigma
+  int degrees_of_freedom = 0;  ///< of chi_square: the tracks' parameters less three
+  boost::container::static_vector<ViewResidual, kMaxViews> residuals;  ///< of the views that took part
 };
 
 /// From 2D tracks in two or more views to the 3D motion of the target (paper, section 2).
@@ -83,38 +111,68 @@ class MotionEstimator
 {
 public:
   /// @param target_centre patient frame [mm]
+  /// @param shape how the tracked target is spread, TargetShape::isotropic(target_centre) if it is not known
   /// @param room_from_patient_reference pose that motion is counted from; at it, c of eq. (3) is taken, too
-  /// @throws std::invalid_argument for bad options, fewer than two views, a target that is not in front of every
-  ///   source, or views that are as good as parallel, naming the views
+  /// @throws std::invalid_argument for bad options, fewer than two or more than kMaxViews views, a target that is not
+  /// in
+  ///   front of every source, or views that are as good as parallel, naming the views
   MotionEstimator(const MotionEstimationOptions& options, std::vector<ProjectionGeometry> views,
-                  const Eigen::Vector3d& target_centre, const RigidTransform& room_from_patient_reference);
+                  const Eigen::Vector3d& target_centre, const TargetShape& shape,
+                  const RigidTransform& room_from_patient_reference);
 
-  /// @param measurements one a view, in the order of the views
+  /// @param measurements one a view, in the order of the views; nothing where a view has no track
   /// @throws std::invalid_argument if there are more or fewer than views
-  MotionEstimate estimate(const std::vector<ViewMeasurement>& measurements) const;
+  MotionEstimate estimate(const std::vector<std::optional<ViewMeasurement>>& measurements) const;
 
 private:
-  using Jacobian = Eigen::Matrix<double, 2, 3>;
+  /// What one view's measurement comes down to.
+  struct Observation
+  {
+    std::size_t view;
+    TrackModel model;
+    RegionPatch patch;
+    Eigen::Matrix3d reference_rotation;  ///< of the target from the view's reference exposure to the common one
+    TrackParameters parameters;
+    Eigen::LLT<Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, 0, 6, 6>> covariance;  ///< of the parameters
+    Matrix6d warp_covariance;                                                               ///< with the floors
+  };
+  using Observations = boost::container::static_vector<Observation, kMaxViews>;
 
-  /// [mm / px], eq. (2): the motion parallel to the panel at the target's depth that moves it by a pixel
-  using BackProjection = Eigen::Matrix<double, 3, 2>;
+  /// Residual and its derivative in units of the observation's standard deviations.
+  struct Whitened
+  {
+    TrackParameters residual;
+    TrackParametersJacobian jacobian;  ///< of the prediction, by (centre, rotation)
+    Vector6d warp;                     ///< predicted
+    Matrix6d warp_jacobian;
+  };
 
-  /// What is wrong with a view's measurement; empty if nothing is.
-  std::string fault(std::size_t view, const ViewMeasurement& measurement) const;
-  Eigen::Matrix2d measurementCovariance(const ViewMeasurement& measurement) const;
-  Eigen::Vector2d observedPixel(std::size_t view, const ViewMeasurement& measurement) const;
-  // These return false if the measurements have no solution in front of all sources.
-  bool solveLeastSquares(const std::vector<ViewMeasurement>& measurements, MotionEstimate& estimate) const;
-  bool backProject(const std::vector<ViewMeasurement>& measurements, MotionEstimate& estimate) const;
-  bool judgeConsistency(const std::vector<ViewMeasurement>& measurements, MotionEstimate& estimate) const;
-  void fillPose(MotionEstimate& estimate) const;
+  struct Motion
+  {
+    Eigen::Vector3d target;    ///< room [mm]
+    Eigen::Matrix3d rotation;  ///< since the reference pose
+  };
+
+  /// @return what is wrong with the measurement; empty if nothing is
+  std::string observe(std::size_t view, const ViewMeasurement& measurement, Observation& observation) const;
+  void whiten(const Observation& observation, const Motion& motion, Whitened& whitened) const;
+  /// The largest angle between the lines of sight of two of the views that are there [rad].
+  double widestAngle(const Observations& observations) const;
+  /// @return false if the measurements have no solution in front of all sources
+  bool solveLeastSquares(const Observations& observations, Motion& motion, Matrix6d& covariance) const;
+  void backProject(const std::vector<std::optional<ViewMeasurement>>& measurements, const Observations& observations,
+                   Motion& motion, Matrix6d& covariance) const;
+  bool judgeConsistency(const Observations& observations, const Motion& motion, MotionEstimate& estimate) const;
+  void fillPose(const Motion& motion, MotionEstimate& estimate) const;
+  std::string viewNames(const Observations& observations) const;
 
   MotionEstimationOptions options_;
   std::vector<ProjectionGeometry> views_;
   Eigen::Vector3d target_centre_;
+  TargetShape shape_;
   RigidTransform reference_;
-  Eigen::Vector3d reference_target_;  ///< room [mm]
-  std::vector<BackProjection> back_projections_;
-  Eigen::Vector3d normalisation_;  ///< diagonal of the paper's N, eq. (6)
+  Eigen::Vector3d reference_target_;             ///< room [mm]
+  std::vector<Eigen::Vector3d> lines_of_sight_;  ///< to the reference target, unit
+  std::vector<double> chi_square_limits_;        ///< by degrees of freedom
 };
 }  // namespace xray_tracking

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <cstdint>
 #include <optional>
 #include <utility>
@@ -30,14 +31,19 @@ public:
   std::optional<RigidTransform> at(std::int64_t stamp) const
   {
     // The latest first: templates are trained on recent exposures.
-    for (auto entry = poses_.rbegin(); entry != poses_.rend(); ++entry)
+    const auto entry =
+        std::find_if(poses_.rbegin(), poses_.rend(), [&](const auto& pose) { return pose.first == stamp; });
+    return entry == poses_.rend() ? std::nullopt : std::make_optional(entry->second);
+  }
+
+  /// Replaces every pose by what `correct(pose)` makes of it.
+  template <typename Function>
+  void transform(const Function& correct)
+  {
+    for (auto& entry : poses_)
     {
-      if (entry->first == stamp)
-      {
-        return entry->second;
-      }
+      entry.second = correct(entry.second);
     }
-    return std::nullopt;
   }
 
 private:

@@ -5,9 +5,11 @@
 
 #include <opencv2/core.hpp>
 
+#include "xray_tracking_core/projection/attenuation_field.h"
 #include "xray_tracking_core/projection/pixel_grid.h"
 #include "xray_tracking_core/projection/shear_warp_renderer.h"
 #include "xray_tracking_core/volume/ct_volume.h"
+#include "xray_tracking_registration/registration.h"
 
 namespace xray_tracking
 {
@@ -18,7 +20,8 @@ public:
   /// @param volume attenuation [1/mm]; not needed afterwards
   /// @param footprint edge of the smallest bins that will be asked for, at the volume [mm]: the finest resolution is
   ///        smoothed as such bins smooth; coarser ones are halved, as long as their bins can be
-  BodyRenderer(const ScalarVolume& volume, double footprint);
+  /// @param projector what render() uses
+  BodyRenderer(const ScalarVolume& volume, double footprint, Projector projector);
 
   /// Line integrals at the grid's points and their derivatives by the twist of motionAbout(centre, twist) *
   /// room_from_body at zero, from the coarsest volume whose finest voxel edge is not above a grid step at `centre`.
@@ -32,16 +35,19 @@ public:
 
   /// Bytes held.
   std::size_t memory() const;
+  AttenuationField::Statistics fieldStatistics() const;
 
 private:
   struct Level
   {
     double edge;  ///< finest voxel edge [mm]
     std::unique_ptr<const ShearWarpRenderer> renderer;
+    std::shared_ptr<const ScalarVolume> volume;     ///< for ray casting alone
+    std::unique_ptr<const AttenuationField> field;  ///< for attenuation fields alone
   };
 
-  const ShearWarpRenderer& suiting(const ProjectionGeometry& geometry, const PixelGrid& pixels,
-                                   const Eigen::Vector3d& centre) const;
+  const Level& suiting(const ProjectionGeometry& geometry, const PixelGrid& pixels,
+                       const Eigen::Vector3d& centre) const;
 
   std::vector<Level> levels_;  ///< fine to coarse
 };

@@ -28,7 +28,8 @@ struct StoredExposure
 /// The latest exposures, in the order of their stamps, and which of them is to be answered next. Each is handed out
 /// once: complete ones as such, others when a later one is complete (every topic is in order) or has taken their place.
 ///
-/// An image more than a second older than the detector's last one is the beginning of another run: all is forgotten.
+/// An image or camera_info more than a second older than the last one on its topic is the beginning of another run: all
+/// is forgotten.
 class ExposureStore
 {
 public:
@@ -63,6 +64,8 @@ public:
 private:
   using Exposures = std::map<ros::Time, StoredExposure>;
 
+  /// Forgets all if the stamp goes back. @param last on the same topic
+  void noteArrival(const ros::Time& stamp, ros::Time& last);
   StoredExposure& at(const ros::Time& stamp);
   std::string missing(const StoredExposure& exposure) const;
   Due handOut(Exposures::iterator entry, const std::string& missing);
@@ -71,8 +74,9 @@ private:
   std::size_t capacity_;
   bool with_seed_;
   Exposures exposures_;
-  std::vector<Due> displaced_;          ///< never answered, and out of the store
-  std::vector<ros::Time> last_images_;  ///< one a detector
+  std::vector<Due> displaced_;                ///< never answered, and out of the store
+  std::vector<ros::Time> last_images_;        ///< one a detector
+  std::vector<ros::Time> last_camera_infos_;  ///< one a detector
   std::optional<ros::Time> last_answered_;
   bool restarted_ = false;
 };

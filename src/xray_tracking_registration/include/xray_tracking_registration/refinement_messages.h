@@ -16,7 +16,7 @@ namespace xray_tracking
 {
 /// The views of an exposure that has all its images: projections from camera_info and the frames' places in the room;
 /// the panel's distance, which neither has, from the setup.
-/// @throws std::invalid_argument, tf2::TransformException or cv_bridge::Exception saying what is wrong with which view
+/// They refer to the exposure's images. @throws std::invalid_argument saying what is wrong with which view
 std::vector<RegistrationView> viewsOf(const StoredExposure& exposure, const TreatmentSetup& setup,
                                       const tf2_ros::Buffer& tf_buffer);
 

@@ -9,6 +9,7 @@
 #include <opencv2/core.hpp>
 
 #include "xray_tracking_core/geometry/projection_geometry.h"
+#include "xray_tracking_core/projection/attenuation_field.h"
 #include "xray_tracking_core/sequence/treatment_setup.h"
 #include "xray_tracking_core/volume/body_model.h"
 
@@ -28,12 +29,22 @@ enum class Optimiser
   NELDER_MEAD    ///< derivative-free, on `similarity`
 };
 
+/// Where line integrals come from.
+enum class Projector
+{
+  SHEAR_WARP,
+  RAY_CASTING,       ///< exact, ray by ray; derivative-free optimisers only
+  ATTENUATION_FIELD  ///< the same, kept for later poses (AttenuationField); derivative-free optimisers only
+};
+
 struct RegistrationOptions
 {
   RestMotion rest = RestMotion::ESTIMATED;
   Optimiser optimiser = Optimiser::GAUSS_NEWTON;
   /// What the derivative-free optimisers maximise (makeSimilarity()), the mean over the views.
   std::string similarity = "gradient_correlation";
+  /// Shear-warp is faster than either other one by far; the attenuation field is what ray casting needs to be usable.
+  Projector projector = Projector::SHEAR_WARP;
   double min_similarity = 0.6;  ///< ViewResidual::similarity that every view needs to be believed, -1 to 1
   /// ViewResidual::coarse_similarity that every view needs, -1 to 1. Tells the next vertebra from the right one, which
   /// are alike in what is fine.
@@ -131,8 +142,10 @@ public:
   /// Never throws for bad requests: they give INVALID and the reason. Const and thread safe; uses all cores.
   RegistrationResult run(const RegistrationRequest& request) const;
 
-  /// Bytes held.
+  /// Bytes of volumes and attenuation fields held.
   std::size_t memory() const;
+  /// Of all attenuation fields; zeros for other projectors.
+  AttenuationField::Statistics fieldStatistics() const;
 
 private:
   class Implementation;

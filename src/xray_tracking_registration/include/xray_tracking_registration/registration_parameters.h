@@ -14,7 +14,7 @@ enum class RefinementMethod
 {
   TRACKING,                  ///< none
   REGISTRATION,              ///< every one, from the last accepted pose
-  TRACKING_AND_REGISTRATION  ///< every one, from motion estimation's pose of the same exposure
+  TRACKING_AND_REGISTRATION  ///< every one, from motion estimation's pose of it, if there is one
 };
 
 /// As in the parameter `method`.
@@ -26,7 +26,6 @@ struct RegistrationParameters
   RefinementMethod method = RefinementMethod::TRACKING;
   std::string setup_file;
   std::string source = "phantom";  ///< or "ct"
-  double phantom_voxel_mm = 1.0;
   int bodies = 2;
   std::string mask = "bone";  ///< or "box"
   TargetMaskOptions mask_options;

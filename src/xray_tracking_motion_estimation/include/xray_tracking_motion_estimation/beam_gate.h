@@ -1,0 +1,139 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <utility>
+
+#include <Eigen/Core>
+#include <boost/circular_buffer.hpp>
+
+namespace xray_tracking
+{
+/// Why the beam is to be held; values as in xray_tracking_msgs/BeamGate.
+enum class GateReason : std::uint8_t
+{
+  NONE = 0,          ///< it need not be held
+  NO_EXPOSURE = 1,   ///< nothing since start or reset
+  NOT_MEASURED = 2,  ///< the latest exposure has no pose: lost, waiting, no reference, numbers that are none
+  INCONSISTENT = 3,  ///< its views contradict each other
+  STALE = 4,         ///< the latest exposure is too old
+  BAD_STAMP = 5,     ///< it is stamped in the future, or no later than the one before
+  UNCERTAIN = 6,     ///< its covariance is over the bound, or there is a doubt about its pose
+  DISPLACED = 7,     ///< the target is too far from where it should be, or turned too much
+  JUMP = 8,          ///< the target moved faster than a body does, which nothing has confirmed so far
+  CONFIRMING = 9     ///< good, but not for long enough
+};
+
+/// As in the enumeration.
+const char* gateReasonName(GateReason reason);
+
+struct BeamGateOptions
+{
+  /// Age from which the latest exposure is stale, in exposure intervals (which are estimated), >= 1.
+  double max_age = 3.0;
+
+  /// An exposure interval is never taken to be longer than this [s], > 0: whatever the rate, stale is stale.
+  double max_interval = 0.5;
+
+  /// Distance of the target's centre from its planned place [mm], > 0.
+  double max_displacement = 3.0;
+
+  /// Rotation of the target from its planned one [rad], > 0.
+  double max_rotation = 0.0524;
+
+  /// Standard deviation of the target's centre in its worst direction [mm], > 0.
+  double max_sigma = 1.0;
+
+  /// Speed of the target's centre from one exposure to the next that a body can have [mm/s], > 0. Breathing makes up to
+  /// 40; the noise of two exposures 0.1 s apart or less adds to it.
+  double max_speed = 60.0;
+
+  /// Good exposures in a row before the beam need not be held, >= 2.
+  int good_exposures = 5;
+
+  /// The same after a jump that no refinement has confirmed, >= good_exposures.
+  int jump_exposures = 30;
+
+  /// @throws std::invalid_argument naming the key, its value and what was expected
+  void validate() const;
+};
+
+/// What the gate has to know of an exposure.
+struct GateExposure
+{
+  std::int64_t stamp = 0;    ///< exposure time [ns]
+  std::int64_t arrival = 0;  ///< when its pose was there, monotonic clock [ns]
+  std::int64_t delay = 0;    ///< from exposure to arrival, by the clock that stamps are of [ns]
+
+  /// NONE if it has a pose; NOT_MEASURED or INCONSISTENT otherwise, with a text.
+  GateReason fault = GateReason::NOT_MEASURED;
+  std::string text;
+
+  /// Why the pose that there is might be worse than its covariance says; empty if there is no such doubt.
+  std::string doubt;
+
+  Eigen::Vector3d displacement = Eigen::Vector3d::Zero();  ///< target's centre from its planned place, room axes [mm]
+  double rotation = 0.0;                                   ///< from the planned one [rad]
+  Eigen::Matrix3d covariance = Eigen::Matrix3d::Zero();    ///< of the displacement [mm^2]
+};
+
+/// Whether the beam is to be held, and why. Advice of research software, see docs/safety.md.
+///
+/// Fails closed: open only while the latest exposure is young, has a pose and is within all bounds, and the ones before
+/// it were, too. No clock of its own: tick() has to be called often, so that silence closes it.
+class BeamGate
+{
+public:
+  /// @throws std::invalid_argument for bad options
+  explicit BeamGate(const BeamGateOptions& options);
+
+  /// @return true if reason() has changed
+  bool update(const GateExposure& exposure);
+  /// @param now monotonic clock [ns]
+  bool tick(std::int64_t now);
+
+  /// A refinement was accepted: what moved the target's displacement by so much [mm] is no motion, and confirms a jump.
+  void refined(const Eigen::Vector3d& correction);
+
+  /// Time starts again, or the reference is another: as at the start, but for the text.
+  bool reset(const std::string& why);
+
+  bool open() const { return reason_ == GateReason::NONE; }
+  GateReason reason() const { return reason_; }
+  const std::string& text() const { return text_; }  ///< why, for people; never empty
+
+  /// Of the latest exposure; zero if there is none.
+  const Eigen::Vector3d& displacement() const { return displacement_; }
+  double rotation() const { return rotation_; }
+  /// Since the latest exposure was taken [ns]; nothing if there is none.
+  std::optional<std::int64_t> age(std::int64_t now) const;
+  /// Age from which the latest exposure is stale [ns].
+  std::int64_t maxAge() const;
+
+private:
+  struct Verdict
+  {
+    GateReason reason;
+    std::string text;
+  };
+  Verdict judge(const GateExposure& exposure) const;
+  bool change(Verdict verdict);
+  std::int64_t interval() const;
+
+  BeamGateOptions options_;
+  GateReason reason_ = GateReason::NO_EXPOSURE;
+  std::string text_ = "no exposure so far";
+
+  std::optional<std::int64_t> last_stamp_;  ///< of the latest exposure
+  std::int64_t last_exposed_ = 0;           ///< when it was taken, monotonic clock
+  boost::circular_buffer<std::int64_t> intervals_;
+  Eigen::Vector3d displacement_ = Eigen::Vector3d::Zero();
+  double rotation_ = 0.0;
+
+  std::optional<std::pair<std::int64_t, Eigen::Vector3d>> last_place_;  ///< stamp, displacement; latest with a pose
+  int good_ = 0;
+  bool jumped_ = false;
+};
+}  // namespace xray_tracking

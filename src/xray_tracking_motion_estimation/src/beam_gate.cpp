@@ -1,0 +1,233 @@
+#include "xray_tracking_motion_estimation/beam_gate.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <sstream>
+#include <stdexcept>
+#include <utility>
+
+#include <Eigen/Eigenvalues>
+
+namespace xray_tracking
+{
+namespace
+{
+/// A stamp may be ahead by what two computers' clocks usually differ.
+constexpr std::int64_t kMaxAhead = 5000000;  // ns
+
+/// The median of so many is right while fewer than half of the exposures are missing.
+constexpr std::size_t kIntervals = 31;
+
+template <typename... Parts>
+std::string compose(const Parts&... parts)
+{
+  std::ostringstream text;
+  (text << ... << parts);
+  return text.str();
+}
+
+double seconds(std::int64_t nanoseconds)
+{
+  return 1e-9 * static_cast<double>(nanoseconds);
+}
+}  // namespace
+
+const char* gateReasonName(GateReason reason)
+{
+  static const char* const kNames[] = { "NONE",      "NO_EXPOSURE", "NOT_MEASURED", "INCONSISTENT", "STALE",
+                                        "BAD_STAMP", "UNCERTAIN",   "DISPLACED",    "JUMP",         "CONFIRMING" };
+  return kNames[static_cast<std::size_t>(reason)];
+}
+
+void BeamGateOptions::validate() const
+{
+  const auto require = [](bool valid, const char* key, double value, const char* expected)
+  {
+    if (!valid)
+    {
+      throw std::invalid_argument(compose(key, " is ", value, ", expected ", expected));
+    }
+  };
+  const auto positive = [&](const char* key, double value, const char* expected)
+  { require(value > 0.0 && std::isfinite(value), key, value, expected); };
+  require(max_age >= 1.0 && std::isfinite(max_age), "max_age", max_age, "a number >= 1, in exposure intervals");
+  positive("max_interval", max_interval, "a number > 0 s");
+  positive("max_displacement", max_displacement, "a number > 0 mm");
+  positive("max_rotation", max_rotation, "a number > 0 rad");
+  positive("max_sigma", max_sigma, "a number > 0 mm");
+  positive("max_speed", max_speed, "a number > 0 mm/s");
+  require(good_exposures >= 2, "good_exposures", good_exposures, "2 or more");
+  require(jump_exposures >= good_exposures, "jump_exposures", jump_exposures, "good_exposures or more");
+}
+
+BeamGate::BeamGate(const BeamGateOptions& options) : options_(options), intervals_(kIntervals)
+{
+  options_.validate();
+}
+
+std::int64_t BeamGate::interval() const
+{
+  const auto longest = static_cast<std::int64_t>(1e9 * options_.max_interval);
+  if (intervals_.empty())
+  {
+    return longest;
+  }
+  std::array<std::int64_t, kIntervals> sorted{};
+  const auto end = std::copy(intervals_.begin(), intervals_.end(), sorted.begin());
+  // The lower one of two middles: rather too strict.
+  const auto middle = sorted.begin() + (intervals_.size() - 1) / 2;
+  std::nth_element(sorted.begin(), middle, end);
+  return std::min(*middle, longest);
+}
+
+std::int64_t BeamGate::maxAge() const
+{
+  return static_cast<std::int64_t>(options_.max_age * static_cast<double>(interval()));
+}
+
+std::optional<std::int64_t> BeamGate::age(std::int64_t now) const
+{
+  return last_stamp_ ? std::optional<std::int64_t>(now - last_exposed_) : std::nullopt;
+}
+
+BeamGate::Verdict BeamGate::judge(const GateExposure& exposure) const
+{
+  if (exposure.fault != GateReason::NONE)
+  {
+    return { exposure.fault, exposure.text.empty() ? "no pose" : exposure.text };
+  }
+  if (!exposure.displacement.allFinite() || !std::isfinite(exposure.rotation) || !exposure.covariance.allFinite())
+  {
+    return { GateReason::NOT_MEASURED, "the pose is not finite" };
+  }
+  if (exposure.delay < -kMaxAhead)
+  {
+    return { GateReason::BAD_STAMP, compose("the exposure is stamped ", seconds(-exposure.delay),
+                                            " s in the future, expected none: clocks differ") };
+  }
+  if (exposure.delay > maxAge())
+  {
+    return { GateReason::STALE, compose("the exposure was ", seconds(exposure.delay),
+                                        " s old when its pose came, expected at most ", seconds(maxAge()), " s") };
+  }
+  if (last_place_)
+  {
+    // Over a longer time than exposures stay young, nothing vouches for the way in between.
+    const double elapsed = seconds(std::min(exposure.stamp - last_place_->first, maxAge()));
+    const double speed = (exposure.displacement - last_place_->second).norm() / elapsed;
+    if (speed > options_.max_speed)
+    {
+      return { GateReason::JUMP, compose("the target moved by ", (exposure.displacement - last_place_->second).norm(),
+                                         " mm, at ", speed, " mm/s, expected at most ", options_.max_speed) };
+    }
+  }
+  const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> axes(exposure.covariance, Eigen::EigenvaluesOnly);
+  const double variance = axes.eigenvalues()[2];
+  if (!(axes.eigenvalues()[0] >= -1e-9 * variance) || variance > options_.max_sigma * options_.max_sigma)
+  {
+    return { GateReason::UNCERTAIN, compose("the displacement's standard deviation is ", std::sqrt(variance),
+                                            " mm, expected at most ", options_.max_sigma) };
+  }
+  if (!exposure.doubt.empty())
+  {
+    return { GateReason::UNCERTAIN, exposure.doubt };
+  }
+  if (exposure.displacement.norm() > options_.max_displacement || exposure.rotation > options_.max_rotation)
+  {
+    return { GateReason::DISPLACED, compose("the target is displaced by ", exposure.displacement.norm(),
+                                            " mm and turned by ", exposure.rotation, " rad, expected at most ",
+                                            options_.max_displacement, " mm and ", options_.max_rotation, " rad") };
+  }
+  return { GateReason::NONE, "" };
+}
+
+bool BeamGate::update(const GateExposure& exposure)
+{
+  if (last_stamp_ && exposure.stamp <= *last_stamp_)
+  {
+    good_ = 0;
+    return change(
+        { GateReason::BAD_STAMP, compose("the exposure at ", exposure.stamp, " ns is no later than the one at ",
+                                         *last_stamp_, " ns before it") });
+  }
+  const std::optional<std::int64_t> previous = last_stamp_;
+  if (previous)
+  {
+    intervals_.push_back(exposure.stamp - *previous);
+  }
+  last_stamp_ = exposure.stamp;
+  last_exposed_ = exposure.arrival - exposure.delay;
+
+  const Verdict verdict = judge(exposure);
+  const bool measured = exposure.fault == GateReason::NONE && verdict.reason != GateReason::NOT_MEASURED;
+  if (measured)
+  {
+    displacement_ = exposure.displacement;
+    rotation_ = exposure.rotation;
+    last_place_.emplace(exposure.stamp, exposure.displacement);
+  }
+  jumped_ = jumped_ || verdict.reason == GateReason::JUMP;
+
+  // A missing exposure is a missed chance to see that something is wrong, if it is missing for long.
+  const bool gap = previous && exposure.stamp - *previous > maxAge();
+  if (verdict.reason != GateReason::NONE)
+  {
+    good_ = 0;
+    return change(verdict);
+  }
+  good_ = gap ? 1 : good_ + 1;
+  const int needed = jumped_ ? options_.jump_exposures : options_.good_exposures;
+  if (good_ >= needed)
+  {
+    jumped_ = false;
+    return open() ? false : change({ GateReason::NONE, compose(good_, " good exposures in a row") });
+  }
+  return change({ jumped_ ? GateReason::JUMP : GateReason::CONFIRMING,
+                  jumped_ ? compose("an earlier jump is unconfirmed until ", needed, " good exposures or a refinement")
+                          : compose("good, but needs ", needed, " good exposures in a row") });
+}
+
+bool BeamGate::tick(std::int64_t now)
+{
+  if (!last_stamp_ || *age(now) <= maxAge())
+  {
+    return false;
+  }
+  good_ = 0;
+  return change({ GateReason::STALE, compose("the latest exposure is ", seconds(*age(now)), " s old, expected at most ",
+                                             seconds(maxAge()), " s") });
+}
+
+void BeamGate::refined(const Eigen::Vector3d& correction)
+{
+  displacement_ += correction;
+  if (last_place_)
+  {
+    last_place_->second += correction;
+  }
+  if (jumped_)
+  {
+    jumped_ = false;
+    good_ = 0;
+  }
+}
+
+bool BeamGate::reset(const std::string& why)
+{
+  last_stamp_.reset();
+  last_place_.reset();
+  intervals_.clear();
+  displacement_.setZero();
+  rotation_ = 0.0;
+  good_ = 0;
+  jumped_ = false;
+  return change({ GateReason::NO_EXPOSURE, why });
+}
+
+bool BeamGate::change(Verdict verdict)
+{
+  text_ = std::move(verdict.text);
+  return std::exchange(reason_, verdict.reason) != verdict.reason;
+}
+}  // namespace xray_tracking

@@ -1,0 +1,127 @@
+#include "xray_tracking_motion_estimation/motion_estimation_parameters.h"
+
+#include <set>
+#include <stdexcept>
+
+#include "xray_tracking_conversions/parameters.h"
+#include "xray_tracking_core/option_check.h"
+
+namespace xray_tracking
+{
+namespace
+{
+/// Reads the parameters of one namespace; what is wrong with a value is told with the namespace.
+class Group
+{
+public:
+  Group(ParameterReader& reader, std::string name_space) : reader_(reader), name_space_(std::move(name_space)) {}
+
+  template <typename Value>
+  void read(const std::string& key, Value& value)
+  {
+    value = reader_.read(name_space_ + key, value);
+  }
+
+  template <typename Options>
+  void validate(const Options& options) const
+  {
+    try
+    {
+      options.validate();
+    }
+    catch (const std::invalid_argument& error)
+    {
+      throw std::invalid_argument(name_space_ + error.what());
+    }
+  }
+
+private:
+  ParameterReader& reader_;
+  std::string name_space_;
+};
+}  // namespace
+
+MotionEstimationParameters readMotionEstimationParameters(const ros::NodeHandle& pnh)
+{
+  MotionEstimationParameters parameters;
+  ParameterReader reader(pnh);
+
+  Group own(reader, "");
+  own.read("setup_file", parameters.setup_file);
+  parameters.detectors = { "detector_a", "detector_b" };
+  own.read("detectors", parameters.detectors);
+  MotionEstimationOptions& estimation = parameters.estimation;
+  std::string method = "least_squares";
+  own.read("method", method);
+  std::string target_shape = "isotropic";
+  own.read("target_shape", target_shape);
+  own.read("significance", estimation.significance);
+  own.read("floor_sigma", estimation.floor_sigma);
+  own.read("linear_floor_sigma", estimation.linear_floor_sigma);
+  own.read("rotation_sigma", estimation.rotation_sigma);
+  own.read("min_view_angle", estimation.min_view_angle);
+  own.read("queue_size", parameters.queue_size);
+  own.read("view_timeout", parameters.view_timeout);
+  own.read("pairing_tolerance", parameters.pairing_tolerance);
+  own.read("target_speed", parameters.target_speed);
+
+  Group consistency(reader, "consistency/");
+  consistency.read("window", parameters.consistency.window);
+  consistency.read("significance", parameters.consistency.significance);
+  consistency.read("persistent_sigma", parameters.consistency.persistent_sigma);
+
+  Group prediction(reader, "prediction/");
+  prediction.read("latency", parameters.prediction.latency);
+  prediction.read("max_gap", parameters.prediction.max_gap);
+
+  Group gate(reader, "gate/");
+  gate.read("max_age", parameters.gate.max_age);
+  gate.read("max_interval", parameters.gate.max_interval);
+  gate.read("max_displacement", parameters.gate.max_displacement);
+  gate.read("max_rotation", parameters.gate.max_rotation);
+  gate.read("max_sigma", parameters.gate.max_sigma);
+  gate.read("max_speed", parameters.gate.max_speed);
+  gate.read("good_exposures", parameters.gate.good_exposures);
+  gate.read("jump_exposures", parameters.gate.jump_exposures);
+
+  Group refinement(reader, "refinement/");
+  std::string mode = "never";
+  refinement.read("mode", mode);
+  refinement.read("every_n", parameters.refinement.every_n);
+  refinement.read("drift", parameters.refinement.drift);
+  refinement.read("drift_rotation", parameters.refinement.drift_rotation);
+  refinement.read("drift_residual", parameters.refinement.drift_residual);
+  refinement.read("timeout", parameters.refinement.timeout);
+  refinement.read("max_correction", parameters.refinement.max_correction);
+  refinement.read("max_correction_rotation", parameters.refinement.max_correction_rotation);
+  refinement.read("min_similarity", parameters.refinement.min_similarity);
+  refinement.read("significance", parameters.refinement.significance);
+  reader.warnOfUnread();
+
+  estimation.method = estimationMethodFromName(method);
+  parameters.refinement.mode = refinementModeFromName(mode);
+  requireOption(target_shape == "isotropic" || target_shape == "bone", "target_shape", "'" + target_shape + "'",
+                "isotropic or bone");
+  parameters.bone_shape = target_shape == "bone";
+  own.validate(estimation);
+  consistency.validate(parameters.consistency);
+  prediction.validate(parameters.prediction);
+  gate.validate(parameters.gate);
+  refinement.validate(parameters.refinement);
+  requireOption(parameters.queue_size >= 1, "queue_size", parameters.queue_size, "1 or more exposures");
+  requireOption(parameters.view_timeout > 0.0, "view_timeout", parameters.view_timeout, "a number > 0 s");
+  requireOption(parameters.pairing_tolerance >= 0.0 && parameters.pairing_tolerance <= 1.0, "pairing_tolerance",
+                parameters.pairing_tolerance, "0 to 1 s, less than half the time between exposures");
+  requireOption(parameters.target_speed >= 0.0 && parameters.target_speed <= 1e4, "target_speed",
+                parameters.target_speed, "0 to 10000 mm/s");
+  const std::vector<std::string>& names = parameters.detectors;
+  requireOption(names.size() >= 2 && std::set<std::string>(names.begin(), names.end()).size() == names.size(),
+                "the length of detectors", names.size(), "two or more names that differ");
+  if (parameters.setup_file.empty())
+  {
+    throw std::invalid_argument("parameter " + pnh.resolveName("setup_file") +
+                                " is not set, expected the path of a setup file");
+  }
+  return parameters;
+}
+}  // namespace xray_tracking

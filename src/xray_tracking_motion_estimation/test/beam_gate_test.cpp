@@ -1,0 +1,345 @@
+#include "xray_tracking_motion_estimation/beam_gate.h"
+
+#include <functional>
+#include <limits>
+#include <stdexcept>
+
+#include <gtest/gtest.h>
+
+namespace xray_tracking
+{
+namespace
+{
+constexpr std::int64_t kMillisecond = 1000000;
+constexpr std::int64_t kInterval = 33 * kMillisecond;
+constexpr std::int64_t kDelay = 20 * kMillisecond;
+
+/// A gate with exposures of a target at rest, 33 ms apart, whose poses come 20 ms later. The monotonic clock has its
+/// own zero.
+class BeamGateTest : public testing::Test
+{
+protected:
+  GateExposure good(std::int64_t after = kInterval)
+  {
+    stamp += after;
+    GateExposure exposure;
+    exposure.stamp = stamp;
+    exposure.delay = kDelay;
+    exposure.arrival = stamp + kDelay - zero;
+    exposure.fault = GateReason::NONE;
+    exposure.displacement = { 1.0, 0.0, 0.0 };
+    exposure.covariance = 0.01 * Eigen::Matrix3d::Identity();
+    return exposure;
+  }
+
+  void openIt()
+  {
+    for (int i = 0; i < options.good_exposures; ++i)
+    {
+      EXPECT_FALSE(gate.open());
+      gate.update(good());
+    }
+    ASSERT_TRUE(gate.open());
+  }
+
+  /// Opens the gate, spoils the next exposure, expects it to close for `reason` and to open again after good ones.
+  void expectClosedBy(GateReason reason, const std::function<void(GateExposure&)>& spoil)
+  {
+    if (!gate.open())
+    {
+      openIt();
+    }
+    GateExposure bad = good();
+    spoil(bad);
+    EXPECT_TRUE(gate.update(bad));
+    EXPECT_FALSE(gate.open());
+    EXPECT_EQ(gate.reason(), reason) << gate.text();
+    EXPECT_FALSE(gate.text().empty());
+    openIt();
+  }
+
+  std::int64_t now() const { return stamp + kDelay - zero; }
+
+  BeamGateOptions options;
+  BeamGate gate{ options };
+  std::int64_t stamp = 1700000000000000000;
+  std::int64_t zero = 1699999990000000000;
+};
+
+TEST_F(BeamGateTest, IsClosedAtTheStart)
+{
+  EXPECT_FALSE(gate.open());
+  EXPECT_EQ(gate.reason(), GateReason::NO_EXPOSURE);
+  EXPECT_FALSE(gate.age(now()));
+  EXPECT_FALSE(gate.tick(now()));
+  EXPECT_FALSE(gate.open());
+}
+
+TEST_F(BeamGateTest, OpensAfterGoodExposuresOnly)
+{
+  EXPECT_TRUE(gate.update(good()));
+  EXPECT_EQ(gate.reason(), GateReason::CONFIRMING);
+  for (int i = 2; i < options.good_exposures; ++i)
+  {
+    EXPECT_FALSE(gate.update(good()));
+  }
+  EXPECT_FALSE(gate.open());
+  EXPECT_TRUE(gate.update(good()));
+  EXPECT_TRUE(gate.open());
+  EXPECT_EQ(gate.displacement(), Eigen::Vector3d(1.0, 0.0, 0.0));
+  EXPECT_EQ(*gate.age(now()), kDelay);
+  EXPECT_FALSE(gate.update(good()));  // no transition
+}
+
+TEST_F(BeamGateTest, ClosesWithoutAPose)
+{
+  expectClosedBy(GateReason::NOT_MEASURED, [](GateExposure& e) { e.fault = GateReason::NOT_MEASURED; });
+}
+
+TEST_F(BeamGateTest, ClosesIfViewsContradictEachOther)
+{
+  expectClosedBy(GateReason::INCONSISTENT, [](GateExposure& e) { e.fault = GateReason::INCONSISTENT; });
+}
+
+TEST_F(BeamGateTest, ClosesOnUncertainty)
+{
+  // Within the bound along every axis, over it in between.
+  expectClosedBy(GateReason::UNCERTAIN,
+                 [](GateExposure& e) { e.covariance << 0.8, 0.7, 0.0, 0.7, 0.8, 0.0, 0.0, 0.0, 0.1; });
+  expectClosedBy(GateReason::UNCERTAIN, [](GateExposure& e) { e.covariance(1, 1) = -1.0; });
+  expectClosedBy(GateReason::UNCERTAIN, [](GateExposure& e) { e.doubt = "detector_a is degraded"; });
+}
+
+TEST_F(BeamGateTest, ClosesOnRotation)
+{
+  expectClosedBy(GateReason::DISPLACED, [](GateExposure& e) { e.rotation = 0.06; });
+}
+
+TEST_F(BeamGateTest, ClosesOnNumbersThatAreNone)
+{
+  const double nan = std::numeric_limits<double>::quiet_NaN();
+  expectClosedBy(GateReason::NOT_MEASURED, [&](GateExposure& e) { e.displacement.y() = nan; });
+  expectClosedBy(GateReason::NOT_MEASURED, [&](GateExposure& e) { e.covariance(0, 2) = nan; });
+  expectClosedBy(GateReason::NOT_MEASURED, [&](GateExposure& e) { e.rotation = nan; });
+  EXPECT_TRUE(gate.displacement().allFinite());
+}
+
+TEST_F(BeamGateTest, ClosesOnDisplacement)
+{
+  openIt();
+  // 40 mm/s, as fast as breathing may be.
+  for (int i = 0; i < 30 && gate.open(); ++i)
+  {
+    GateExposure exposure = good();
+    exposure.displacement.x() = 1.0 + 1.32 * (i + 1);
+    gate.update(exposure);
+    EXPECT_EQ(gate.open(), exposure.displacement.norm() <= options.max_displacement);
+  }
+  EXPECT_EQ(gate.reason(), GateReason::DISPLACED);
+}
+
+TEST_F(BeamGateTest, ClosesOnLateAndFutureExposures)
+{
+  expectClosedBy(GateReason::STALE,
+                 [](GateExposure& e)
+                 {
+                   e.delay = 3 * kInterval + kMillisecond;
+                   e.arrival = e.arrival - kDelay + e.delay;
+                 });
+  expectClosedBy(GateReason::BAD_STAMP, [](GateExposure& e) { e.delay = -100 * kMillisecond; });
+}
+
+TEST_F(BeamGateTest, ClosesOnStampsThatDoNotGrow)
+{
+  openIt();
+  GateExposure same = good(0);
+  EXPECT_TRUE(gate.update(same));
+  EXPECT_EQ(gate.reason(), GateReason::BAD_STAMP);
+  openIt();
+  EXPECT_TRUE(gate.update(good(-kInterval)));
+  EXPECT_EQ(gate.reason(), GateReason::BAD_STAMP);
+}
+
+TEST_F(BeamGateTest, ClosesInSilence)
+{
+  openIt();
+  const std::int64_t exposed = stamp - zero;
+  EXPECT_EQ(gate.maxAge(), 3 * kInterval);
+  EXPECT_FALSE(gate.tick(exposed + 3 * kInterval));
+  EXPECT_TRUE(gate.open());
+  EXPECT_TRUE(gate.tick(exposed + 3 * kInterval + 1));
+  EXPECT_EQ(gate.reason(), GateReason::STALE);
+  EXPECT_FALSE(gate.tick(exposed + 100 * kInterval));  // no further transition
+  stamp += 100 * kInterval;
+  openIt();
+}
+
+TEST_F(BeamGateTest, AGapWithoutATickStartsCountingAgain)
+{
+  openIt();
+  gate.update(good(4 * kInterval));
+  EXPECT_EQ(gate.reason(), GateReason::CONFIRMING);
+  for (int i = 1; i < options.good_exposures; ++i)
+  {
+    EXPECT_FALSE(gate.open());
+    gate.update(good());
+  }
+  EXPECT_TRUE(gate.open());
+}
+
+// Every third exposure is missing, stamps jitter: the interval is still that of the source.
+TEST_F(BeamGateTest, KnowsTheIntervalInSpiteOfDrops)
+{
+  for (int i = 0; i < 200; ++i)
+  {
+    gate.update(good(i % 3 == 0 ? 2 * kInterval : kInterval + (i % 5 - 2) * kMillisecond / 2));
+  }
+  EXPECT_NEAR(static_cast<double>(gate.maxAge()), 3.0 * kInterval, 3.0 * kMillisecond);
+  EXPECT_TRUE(gate.open());
+}
+
+TEST_F(BeamGateTest, ASlowSourceDoesNotMakeOldExposuresYoung)
+{
+  for (int i = 0; i < 100; ++i)
+  {
+    gate.update(good(2000 * kMillisecond));
+    EXPECT_FALSE(gate.open());
+  }
+  EXPECT_EQ(gate.maxAge(), static_cast<std::int64_t>(3 * 1e9 * options.max_interval));
+}
+
+class JumpTest : public BeamGateTest
+{
+protected:
+  void SetUp() override
+  {
+    openIt();
+    GateExposure exposure = good();
+    exposure.displacement.x() = -1.5;  // 2.5 mm in 33 ms: 76 mm/s
+    EXPECT_TRUE(gate.update(exposure));
+    EXPECT_EQ(gate.reason(), GateReason::JUMP);
+  }
+
+  GateExposure there()
+  {
+    GateExposure exposure = good();
+    exposure.displacement.x() = -1.5;
+    return exposure;
+  }
+};
+
+TEST_F(JumpTest, IsBelievedAfterManyConsistentExposures)
+{
+  for (int i = 1; i <= options.jump_exposures; ++i)
+  {
+    gate.update(there());
+    EXPECT_EQ(gate.open(), i == options.jump_exposures) << i;
+  }
+}
+
+TEST_F(JumpTest, AndBackIsAnother)
+{
+  for (int i = 0; i < 10; ++i)
+  {
+    gate.update(there());
+  }
+  gate.update(good());
+  for (int i = 1; i < options.jump_exposures; ++i)
+  {
+    gate.update(good());
+    EXPECT_FALSE(gate.open());
+  }
+  gate.update(good());
+  EXPECT_TRUE(gate.open());
+}
+
+TEST_F(JumpTest, IsConfirmedByARefinement)
+{
+  gate.update(there());
+  gate.refined(Eigen::Vector3d(0.2, 0.0, 0.0));
+  EXPECT_FALSE(gate.open());
+  for (int i = 1; i <= options.good_exposures; ++i)
+  {
+    EXPECT_FALSE(gate.open());
+    gate.update(there());
+  }
+  EXPECT_TRUE(gate.open());
+}
+
+TEST_F(JumpTest, OutlastsSilence)
+{
+  gate.tick(now() + 1000 * kMillisecond);
+  EXPECT_EQ(gate.reason(), GateReason::STALE);
+  stamp += 1000 * kMillisecond;
+  for (int i = 1; i < options.jump_exposures; ++i)
+  {
+    gate.update(there());
+    EXPECT_FALSE(gate.open());
+  }
+}
+
+TEST_F(BeamGateTest, ATargetFoundElsewhereAfterALossIsAJump)
+{
+  openIt();
+  for (int i = 0; i < 100; ++i)
+  {
+    GateExposure lost = good();
+    lost.fault = GateReason::NOT_MEASURED;
+    gate.update(lost);
+  }
+  GateExposure elsewhere = good();
+  elsewhere.displacement.x() = 20.0;  // 6 mm/s, but nobody watched
+  gate.update(elsewhere);
+  EXPECT_EQ(gate.reason(), GateReason::JUMP);
+}
+
+TEST_F(BeamGateTest, ARefinementMovesTheTargetWithoutAJump)
+{
+  openIt();
+  const Eigen::Vector3d correction(1.5, -2.0, 0.0);
+  gate.refined(correction);
+  EXPECT_TRUE(gate.open());
+  GateExposure exposure = good();
+  exposure.displacement += correction - Eigen::Vector3d::UnitX();
+  EXPECT_FALSE(gate.update(exposure));
+  EXPECT_TRUE(gate.open());
+}
+
+TEST_F(BeamGateTest, StartsAgainWhenTimeDoes)
+{
+  openIt();
+  EXPECT_TRUE(gate.reset("time went back by 100 s"));
+  EXPECT_EQ(gate.reason(), GateReason::NO_EXPOSURE);
+  EXPECT_EQ(gate.text(), "time went back by 100 s");
+  stamp -= 100000 * kMillisecond;
+  zero -= 100000 * kMillisecond;
+  openIt();
+}
+
+TEST(BeamGateOptions, AreChecked)
+{
+  const auto refused = [](const std::function<void(BeamGateOptions&)>& spoil, const std::string& key)
+  {
+    BeamGateOptions options;
+    spoil(options);
+    try
+    {
+      BeamGate gate(options);
+      return false;
+    }
+    catch (const std::invalid_argument& error)
+    {
+      return std::string(error.what()).find(key) != std::string::npos;
+    }
+  };
+  EXPECT_TRUE(refused([](auto& o) { o.max_age = 0.5; }, "max_age"));
+  EXPECT_TRUE(refused([](auto& o) { o.max_interval = 0.0; }, "max_interval"));
+  EXPECT_TRUE(refused([](auto& o) { o.max_displacement = -1.0; }, "max_displacement"));
+  EXPECT_TRUE(refused([](auto& o) { o.max_rotation = 0.0; }, "max_rotation"));
+  EXPECT_TRUE(refused([](auto& o) { o.max_sigma = std::numeric_limits<double>::quiet_NaN(); }, "max_sigma"));
+  EXPECT_TRUE(refused([](auto& o) { o.max_speed = std::numeric_limits<double>::infinity(); }, "max_speed"));
+  EXPECT_TRUE(refused([](auto& o) { o.good_exposures = 1; }, "good_exposures"));
+  EXPECT_TRUE(refused([](auto& o) { o.jump_exposures = 2; }, "jump_exposures"));
+}
+}  // namespace
+}  // namespace xray_tracking

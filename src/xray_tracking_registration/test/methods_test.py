@@ -1,0 +1,175 @@
+#!/usr/bin/python3
+"""Nodes that refine every exposure by themselves answer each once; and what they say if they cannot."""
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+
+import numpy as np
+import roslib.packages
+import rospy
+import rostest
+from geometry_msgs.msg import PoseWithCovarianceStamped
+
+sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
+from registration_test_case import (DETECTORS, EXPOSURES, RegistrationTestCase, Sender, TIMEOUT,  # noqa: E402
+                                    not_a_volume, shifted, small_volume)
+from xray_tracking_msgs.msg import PatientMotion, RefinedPose, RefinementRequest, RefinementResult  # noqa: E402
+from xray_tracking_msgs.srv import LoadVolume, RefinePose  # noqa: E402
+
+# Largest distance of the target box's corners; how near a registration comes, is judged by the library's tests.
+LIMIT_MM = 0.5
+
+
+class Answers:
+    """refined_pose of a namespace, in order of arrival."""
+
+    def __init__(self, namespace):
+        self.messages = []
+        self.subscriber = rospy.Subscriber(f"/{namespace}/refined_pose", RefinedPose, self.messages.append,
+                                           queue_size=100)
+        RegistrationTestCase.wait_for(lambda: self.subscriber.get_num_connections() > 0, f"{namespace}/refined_pose")
+
+    def wait(self, count):
+        RegistrationTestCase.wait_for(lambda: len(self.messages) >= count, f"{count} answers")
+        return self.messages
+
+
+class MethodsTest(RegistrationTestCase):
+    def check_refined(self, message, stamp, exposure, method):
+        self.assertEqual(message.header.stamp, stamp)
+        self.assertEqual(message.header.frame_id, "treatment_room")
+        self.assertEqual(message.method, method)
+        self.assertEqual(message.result.status, RefinementResult.SUCCESS, message.result.reason)
+        self.assertLess(self.error_mm(message.result.pose.pose, exposure.truth), LIMIT_MM)
+        self.assertGreater(message.cpu_time.to_sec(), 0.0)
+        self.assertGreater(message.wall_time.to_sec(), 0.0)
+
+    def check_failed(self, message, stamp, status, *words):
+        self.assertEqual(message.header.stamp, stamp)
+        self.assertEqual(message.result.status, status, message.result.reason)
+        for word in words:
+            self.assertIn(word, message.result.reason)
+
+    def test_registration(self):
+        # So that a pose that is simply handed on is told from one that is found.
+        moved = self.error_mm(self.exposures[-1].truth, self.exposures[0].truth)
+        self.assertGreater(moved, 2.0)
+        answers = Answers("alone")
+        sender = Sender("alone")
+        for start in (0, 50, 0):  # the last one is a bag played again
+            del answers.messages[:]
+            stamps = [rospy.Time(100 + start, 100000000 * k) for k in range(EXPOSURES)]
+            for k, (stamp, exposure) in enumerate(zip(stamps, self.exposures)):
+                # Of the third one there is only one view.
+                sender.send(exposure, stamp, DETECTORS[:1] if k == 2 else DETECTORS)
+            for k, message in enumerate(answers.wait(EXPOSURES)):
+                if k == 2:
+                    self.check_failed(message, stamps[k], RefinementResult.NO_EXPOSURE, "detector_b/image_raw")
+                else:
+                    self.check_refined(message, stamps[k], self.exposures[k], "registration")
+            self.assertEqual(len(answers.messages), EXPOSURES)
+
+    def test_tracking_and_registration(self):
+        answers = Answers("after")
+        sender = Sender("after")
+        motions = rospy.Publisher("/after/patient_motion", PatientMotion, queue_size=10)
+        poses = rospy.Publisher("/after/patient_pose", PoseWithCovarianceStamped, queue_size=10)
+        self.wait_for(lambda: motions.get_num_connections() > 0 and poses.get_num_connections() > 0,
+                      "the node listens to tracking")
+        stamps = [rospy.Time(100, 100000000 * k) for k in range(EXPOSURES)]
+        for stamp, exposure in zip(stamps, self.exposures):
+            sender.send(exposure, stamp)
+        for k, (stamp, exposure) in enumerate(zip(stamps, self.exposures)):
+            motion = PatientMotion(state=PatientMotion.OK)
+            motion.header.stamp = stamp
+            if k == 3:
+                motion.state, motion.reason = PatientMotion.LOST, "detector_a has lost its region"
+            else:
+                pose = PoseWithCovarianceStamped()
+                pose.header.stamp = stamp
+                pose.pose.pose = shifted(exposure.truth, 0.001, 0.001, -0.001)
+                if k == 4:
+                    pose.pose.pose.position.x = float("nan")
+                poses.publish(pose)
+            motions.publish(motion)
+            answers.wait(k + 1)
+        for k, message in enumerate(answers.wait(EXPOSURES)):
+            if k == 4:
+                self.check_failed(message, stamps[k], RefinementResult.INVALID, "nan")
+                continue
+            self.check_refined(message, stamps[k], self.exposures[k], "tracking_and_registration")
+            # Started from the last accepted pose, and says so.
+            self.assertEqual("tracking has none: detector_a has lost its region" in message.result.reason, k == 3)
+
+    def test_no_volume(self):
+        refine = rospy.ServiceProxy("/no_volume/registration/refine_pose", RefinePose)
+        load = rospy.ServiceProxy("/no_volume/registration/load_volume", LoadVolume)
+        answers = Answers("no_volume")
+        sender = Sender("no_volume")
+        exposure = self.exposures[0]
+        sender.send(exposure, rospy.Time(100))
+        self.check_failed(answers.wait(1)[0], rospy.Time(100), RefinementResult.NO_VOLUME, "ct is absent")
+        request = RefinementRequest(seed=exposure.truth, stamp=rospy.Time(100))
+        with tempfile.TemporaryDirectory() as folder:
+            self.assertFalse(load(not_a_volume(folder)).success)
+            result = refine(request).result
+            self.assertEqual(result.status, RefinementResult.NO_VOLUME)
+            self.assertIn("not_a_volume.nrrd", result.reason)
+            answer = load(small_volume(folder))
+            self.assertTrue(answer.success, answer.message)
+        # It is another patient's, whom the images do not show.
+        self.assertEqual(refine(request).result.status, RefinementResult.UNRELIABLE)
+
+    def test_bad_parameter(self):
+        refine = rospy.ServiceProxy("/bad_parameter/registration/refine_pose", RefinePose)
+        refine.wait_for_service(TIMEOUT)
+        self.wait_for(lambda: "guessing" in refine(RefinementRequest()).result.reason, "the reason")
+        answer = rospy.ServiceProxy("/bad_parameter/registration/load_volume", LoadVolume)("/nowhere")
+        self.assertFalse(answer.success)
+        self.assertIn("guessing", answer.message)
+
+    def test_shutdown_in_the_middle(self):
+        rospy.set_param("/stopping/registration/setup_file", rospy.get_param("/setup_file"))
+        node = roslib.packages.find_node("xray_tracking_registration", "registration_node")[0]
+        process = subprocess.Popen([node, "__ns:=/stopping"])
+        sender = Sender("stopping")
+        sender.send(self.exposures[0], rospy.Time(100))
+        refine = rospy.ServiceProxy("/stopping/registration/refine_pose", RefinePose)
+        noise = RefinementRequest(seed=self.exposures[0].truth)
+        for name in DETECTORS:
+            image = self.exposures[0].images[name]
+            values = np.random.default_rng(1).integers(3000, 50000, image.width * image.height, dtype=np.uint16)
+            noise.images.append(type(image)(image.header, image.height, image.width, "mono16", 0, image.step,
+                                            values.tobytes()))
+            noise.camera_infos.append(self.exposures[0].camera_infos[name])
+        asked, end = threading.Event(), threading.Event()
+
+        def ask():
+            while not end.is_set():
+                try:
+                    refine(noise)
+                    asked.set()
+                except rospy.ServiceException:
+                    return
+
+        threads = [threading.Thread(target=ask) for _ in range(2)]
+        for thread in threads:
+            thread.start()
+        self.assertTrue(asked.wait(TIMEOUT))
+        process.send_signal(signal.SIGINT)
+        try:
+            self.assertEqual(process.wait(20.0), 0)
+        finally:
+            process.kill()
+            end.set()
+        for thread in threads:
+            thread.join(TIMEOUT)
+            self.assertFalse(thread.is_alive())
+
+
+if __name__ == "__main__":
+    rospy.init_node("methods_test")
+    rostest.rosrun("xray_tracking_registration", "methods", MethodsTest)
