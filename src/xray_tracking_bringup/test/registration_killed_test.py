@@ -31,7 +31,6 @@ class RegistrationKilledTest(GraphTestCase):
 
         for stamp, motion in sorted(self.motions.items()):
             self.assertEqual(motion.state, PatientMotion.OK, f"{stamp}: {motion.reason}")
-        self.assertGreater(len(self.gold), 20)
         missing = set(self.motions) - set(self.poses)
         self.assertLessEqual(len(missing), 1, "poses but for the exposure that is being answered")
 
