@@ -1,4 +1,5 @@
 """What the tests of the whole graph share."""
+import os
 import threading
 import time
 import unittest
@@ -6,7 +7,10 @@ import xmlrpc.client
 
 import numpy as np
 import rosgraph
+import rospkg
 import rospy
+from diagnostic_msgs.msg import DiagnosticArray
+import yaml
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
@@ -44,11 +48,13 @@ class GraphTestCase(unittest.TestCase):
         cls.poses, cls.gold, cls.tf, cls.motions = {}, {}, {}, {}
         cls.regions = {name: {} for name in DETECTORS}
         cls.tf_count = 0
+        cls.diagnosis = {}  # motion_estimation's latest
         cls.subscribers = [
             rospy.Subscriber("patient_pose", PoseWithCovarianceStamped, cls._pose, queue_size=1000),
             rospy.Subscriber("patient_ground_truth", PoseStamped, cls._gold, queue_size=1000),
             rospy.Subscriber("patient_motion", PatientMotion, cls._motion, queue_size=1000),
             rospy.Subscriber("/tf", TFMessage, cls._tf, queue_size=1000),
+            rospy.Subscriber("/diagnostics", DiagnosticArray, cls._diagnostics, queue_size=1000),
         ] + [
             rospy.Subscriber(f"{name}/tracked_region", TrackedRegion, cls._region, callback_args=name, queue_size=1000)
             for name in DETECTORS
@@ -82,6 +88,17 @@ class GraphTestCase(unittest.TestCase):
                     cls.tf_count += 1
                     cls.tf[transform.header.stamp] = matrix(transform.transform.translation,
                                                             transform.transform.rotation)
+
+    @classmethod
+    def _diagnostics(cls, message):
+        with cls.lock:
+            for status in message.status:
+                if "motion_estimation" in status.name:
+                    cls.diagnosis = {entry.key: entry.value for entry in status.values}
+
+    def refinements(self, outcome):
+        """How many were `accepted`, `refused` or `without an answer`."""
+        return int(self.diagnosis.get(f"refinements {outcome}", 0))
 
     def wait_for(self, condition, timeout, what):
         """Waits in wall time, so also while a bag's clock stands."""
@@ -145,6 +162,18 @@ class GraphTestCase(unittest.TestCase):
         start = rospy.ServiceProxy("/detector_simulator/start", Trigger)
         start.wait_for_service(60.0)
         self.wait_for(lambda: start().success, 60.0, "start of the simulator")
+
+    def phantom_errors_mm(self, exposures):
+        """Has the simulator make so many exposures of the phantom. @return their TRE"""
+        setup_path = os.path.join(rospkg.RosPack().get_path("xray_tracking_core"), "config", "phantom_neck.yaml")
+        with open(setup_path, encoding="utf-8") as file:
+            box = yaml.safe_load(file)["target_box_mm"]
+        self.wait_for_graph()
+        self.start_simulator()
+        self.wait_for(lambda: min(len(self.motions), len(self.poses), len(self.tf)) >= exposures, 90.0,
+                      "all exposures answered")
+        self.assertEqual(len(self.gold), exposures)
+        return self.errors_mm((box["min"], box["max"]))
 
     def errors_mm(self, box_mm):
         """TRE of every exposure, in order of time; fails if an exposure has no pose."""

@@ -4,10 +4,8 @@ import os
 import sys
 
 import numpy as np
-import rospkg
 import rospy
 import rostest
-import yaml
 
 sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
 from graph_test_case import DETECTORS, GraphTestCase  # noqa: E402
@@ -18,16 +16,7 @@ EXPOSURES = 30
 
 class PhantomTest(GraphTestCase):
     def test_every_exposure(self):
-        setup_path = os.path.join(rospkg.RosPack().get_path("xray_tracking_core"), "config", "phantom_neck.yaml")
-        with open(setup_path, encoding="utf-8") as file:
-            box = yaml.safe_load(file)["target_box_mm"]
-        self.wait_for_graph()
-        self.start_simulator()
-        self.wait_for(lambda: len(self.motions) >= EXPOSURES and len(self.poses) >= EXPOSURES
-                      and len(self.tf) >= EXPOSURES, 90.0, "all exposures answered")
-
-        self.assertEqual(len(self.gold), EXPOSURES)
-        errors = self.errors_mm((box["min"], box["max"]))
+        errors = self.phantom_errors_mm(EXPOSURES)
         first = self.gold[min(self.gold)]
         moved = [1000.0 * np.linalg.norm(pose[:3, 3] - first[:3, 3]) for pose in self.gold.values()]
         print(f"TRE mm: median {np.median(errors[1:]):.3f}, max {errors.max():.3f}; largest shift {max(moved):.2f}")

@@ -13,13 +13,12 @@ from std_srvs.srv import SetBool
 
 sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
 from graph_test_case import DETECTORS, GraphTestCase, matrix, target_registration_error_mm  # noqa: E402
-from xray_tracking_msgs.msg import PatientMotion, RefinedPose, RefinementResult  # noqa: E402
+from xray_tracking_msgs.msg import BeamGate, PatientMotion, RefinedPose, RefinementResult  # noqa: E402
 
-# Translation alone, on a region of which a part moves otherwise than the target and which rotates by up to 2.4 degrees:
-# no better than the method's own published limits (peers.md's figure for the paper's way is 1.07 / 1.35 mm).
-MEDIAN_MM, P95_MM = 1.2, 2.4
-# Of the registration with two bodies: what it is specified to reach.
-REFINED_MEDIAN_MM, REFINED_P95_MM = 0.2, 0.4
+# By the sequence's name: TRE of the poses that tracking has at once, going on from refined exposures (from the first
+# exposure alone it is 0.8 / 1.2 and 0.7 / 1.8 mm), and of the registration's, which is specified to reach this; median
+# and 95 % in mm. And the number of exposures whose views may contradict each other: they are refined nevertheless.
+LIMITS = {"thorax_01": ((0.5, 1.0), (0.2, 0.4), 0), "thorax_02": ((0.6, 1.4), (0.25, 0.6), 4)}
 
 
 class SequenceTest(GraphTestCase):
@@ -34,46 +33,65 @@ class SequenceTest(GraphTestCase):
         with open(os.path.join(sequence, "frames.csv"), encoding="utf-8") as file:
             exposures = len({line.split(",")[0] for line in file.read().split("\n")[1:] if line})
         self.wait_for_graph()
-        refined = {}
-        rospy.Subscriber("refined_pose", RefinedPose, lambda message: refined.update({message.header.stamp: message}))
+        self.refined = {}
+        rospy.Subscriber("refined_pose", RefinedPose,
+                         lambda message: self.refined.update({message.header.stamp: message}))
+        gates = []
+        rospy.Subscriber("beam_gate", BeamGate, gates.append)
         with tempfile.TemporaryDirectory() as folder:
             bag = os.path.join(folder, "exposures.bag")
             subprocess.run(["rosrun", "xray_tracking_tools", "sequence_to_bag", sequence, bag], check=True)
-            player = subprocess.Popen(["rosbag", "play", "--clock", "--quiet", "--pause", bag, "__name:=player"])
-            try:
-                listeners = {"/patient_ground_truth": [rospy.get_name()]}
-                for name in DETECTORS:
-                    listeners[f"/{name}/image_raw"] = ["/xray_nodelets", "/registration"]
-                    listeners[f"/{name}/camera_info"] = ["/motion_estimation", "/registration"]
-                self.wait_for_listeners("/player", listeners)
-                self.wait_for_listeners("/motion_estimation", {"/patient_motion": ["/registration"],
-                                                               "/patient_pose": ["/registration"]})
-                rospy.ServiceProxy("/player/pause_playback", SetBool)(False)
-                self.wait_for(lambda: len(self.motions) >= exposures and len(refined) >= exposures, 120.0,
-                              f"{exposures} exposures answered")
-            finally:
-                player.terminate()
-                player.wait()
-        for stamp, motion in self.motions.items():
-            self.assertEqual(motion.state, PatientMotion.OK, f"{stamp}: {motion.reason}")
-        self.wait_for(lambda: len(self.poses) >= exposures, 10.0, "poses")
-        errors = self.errors_mm((box["min"], box["max"]))
-        print(f"TRE mm: median {np.median(errors[1:]):.3f}, max {errors.max():.3f}")
-        self.assertEqual(len(errors), exposures)
-        self.assertLessEqual(np.median(errors[1:]), MEDIAN_MM)
-        self.assertLessEqual(np.percentile(errors[1:], 95), P95_MM)
+            # The second time is a bag played again: time jumps back, and everything begins anew.
+            for _ in range(2):
+                with self.lock:
+                    for received in (self.motions, self.poses, self.gold, self.refined):
+                        received.clear()
+                self.play(bag, exposures)
+                self.judge(box, exposures, *LIMITS[os.path.basename(sequence)])
+        self.assertTrue(gates)
+        self.assertEqual([gate.text for gate in gates if gate.reason == BeamGate.BAD_STAMP], [],
+                         "a played bag's stamps fit its clock")
 
-        self.assertEqual(len(refined), exposures)
-        for stamp, message in refined.items():
+    def play(self, bag, exposures):
+        player = subprocess.Popen(["rosbag", "play", "--clock", "--quiet", "--pause", bag, "__name:=player"])
+        try:
+            listeners = {"/patient_ground_truth": [rospy.get_name()]}
+            for name in DETECTORS:
+                listeners[f"/{name}/image_raw"] = ["/xray_nodelets", "/registration"]
+                listeners[f"/{name}/camera_info"] = ["/motion_estimation", "/registration"]
+            self.wait_for_listeners("/player", listeners)
+            rospy.ServiceProxy("/player/pause_playback", SetBool)(False)
+            self.wait_for(lambda: len(self.motions) >= exposures and len(self.refined) >= exposures, 120.0,
+                          f"{exposures} exposures answered")
+        finally:
+            player.terminate()
+            player.wait()
+
+    def judge(self, box, exposures, tracked_limits, refined_limits, lost):
+        contradictory = sorted(stamp for stamp, motion in self.motions.items() if motion.state != PatientMotion.OK)
+        for stamp in contradictory:
+            self.assertEqual(self.motions[stamp].state, PatientMotion.INCONSISTENT, self.motions[stamp].reason)
+        self.assertLessEqual(len(contradictory), lost)
+        self.wait_for(lambda: len(self.poses) >= exposures - len(contradictory), 10.0, "poses")
+        self.assertEqual(sorted(set(self.gold) - set(self.poses)), contradictory)
+        self.check("tracked", self.poses, box, tracked_limits)
+
+        self.assertEqual(sorted(self.refined), sorted(self.gold))
+        for stamp, message in self.refined.items():
             self.assertEqual(message.result.status, RefinementResult.SUCCESS, f"{stamp}: {message.result.reason}")
             self.assertEqual(message.method, "tracking_and_registration")
-        errors = [target_registration_error_mm(matrix(refined[stamp].result.pose.pose.position,
-                                                      refined[stamp].result.pose.pose.orientation),
-                                               self.gold[stamp], (box["min"], box["max"]))
-                  for stamp in sorted(self.gold)]
-        print(f"refined TRE mm: median {np.median(errors[1:]):.3f}, max {max(errors):.3f}")
-        self.assertLessEqual(np.median(errors[1:]), REFINED_MEDIAN_MM)
-        self.assertLessEqual(np.percentile(errors[1:], 95), REFINED_P95_MM)
+        poses = {stamp: matrix(message.result.pose.pose.position, message.result.pose.pose.orientation)
+                 for stamp, message in self.refined.items()}
+        self.check("refined", poses, box, refined_limits)
+
+    def check(self, name, poses, box, limits):
+        """The errors of all exposures after the first that have a pose."""
+        errors = [target_registration_error_mm(poses[stamp], self.gold[stamp], (box["min"], box["max"]))
+                  for stamp in sorted(poses)[1:]]
+        median, p95 = np.percentile(errors, (50, 95))
+        print(f"{name}: TRE mm: median {median:.3f}, p95 {p95:.3f}, max {max(errors):.3f}")
+        self.assertLessEqual(median, limits[0])
+        self.assertLessEqual(p95, limits[1])
 
 
 if __name__ == "__main__":

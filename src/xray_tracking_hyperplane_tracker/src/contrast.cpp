@@ -36,7 +36,7 @@ double noiseOf(const cv::Mat& values)
 }  // namespace
 
 ContrastCheck checkContrast(const cv::Mat& image, const IntensityModel& intensity, const cv::Rect& region,
-                            const Points& points, const Nuisance& nuisance)
+                            const Points& points, const Nuisance& nuisance, double samples)
 {
   // With a margin, lest the smoothing's border bend what is straight.
   const int margin = static_cast<int>(4.0 * kScale);
@@ -70,8 +70,8 @@ ContrastCheck checkContrast(const cv::Mat& image, const IntensityModel& intensit
                          static_cast<double>(points.rows()) * noise_gradient;
   check.gradient = std::sqrt(std::max(0.0, weakest) / static_cast<double>(points.rows()));
   // Both images have the noise, hence the factor 2.
-  check.predicted_sd =
-      weakest > 0.0 ? std::sqrt(2.0 * check.noise * check.noise / weakest) : std::numeric_limits<double>::infinity();
+  check.predicted_sd = weakest > 0.0 ? std::sqrt(2.0 * check.noise * check.noise / samples) / check.gradient
+                                     : std::numeric_limits<double>::infinity();
   return check;
 }
 

@@ -17,9 +17,10 @@ struct ContrastCheck
   double least_variance = 0.0;  ///< of a difference of two grey values, from quantisation alone
 };
 
-/// @param nuisance what is not counted as texture
+/// @param points where the texture is looked at; @param nuisance what is not counted as texture there
+/// @param samples number of grey values that the displacement will be estimated from
 ContrastCheck checkContrast(const cv::Mat& image, const IntensityModel& intensity, const cv::Rect& region,
-                            const Points& points, const Nuisance& nuisance);
+                            const Points& points, const Nuisance& nuisance, double samples);
 
 /// "width x height at (x, y)"
 std::string describe(const cv::Rect& region);

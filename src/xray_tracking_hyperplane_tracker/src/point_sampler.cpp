@@ -17,34 +17,23 @@ inline float bilinear(const Pixel* p, std::size_t row_length, float u, float v)
   return upper + v * (lower - upper);
 }
 
-/// For points of which none is outside the image or on its last row or column.
-template <typename Pixel>
-void sampleInside(const cv::Mat& image, const Points& points, const Eigen::Vector2f& displacement,
-                  Eigen::Ref<Eigen::ArrayXf> values)
+void sampleInside(const cv::Mat& image, const Points& points, const PixelMap& map, Eigen::Ref<Eigen::ArrayXf> values)
 {
-  const Pixel* pixels = image.ptr<Pixel>();
-  const std::size_t row_length = image.step1();
-  for (Eigen::Index i = 0; i < points.rows(); ++i)
-  {
-    const float x = points(i, 0) + displacement.x();
-    const float y = points(i, 1) + displacement.y();
-    const int column = static_cast<int>(x);
-    const int row = static_cast<int>(y);
-    values[i] = bilinear(pixels + row * row_length + column, row_length, x - column, y - row);
-  }
+  sampleBilinear(image.ptr<std::uint16_t>(), image.step1(), points.data(), points.data() + points.rows(), points.rows(),
+                 map, values.data());
 }
 
 template <typename Pixel>
-int sampleClamped(const cv::Mat& image, const Points& points, const Eigen::Vector2f& displacement,
-                  Eigen::Ref<Eigen::ArrayXf> values, Eigen::Ref<Eigen::ArrayXf> outside)
+int sampleClamped(const cv::Mat& image, const Points& points, const PixelMap& m, Eigen::Ref<Eigen::ArrayXf> values,
+                  Eigen::Ref<Eigen::ArrayXf> outside)
 {
   const int last_column = image.cols - 1;
   const int last_row = image.rows - 1;
   int count = 0;
   for (Eigen::Index i = 0; i < points.rows(); ++i)
   {
-    const float x = points(i, 0) + displacement.x();
-    const float y = points(i, 1) + displacement.y();
+    const float x = m.xx * points(i, 0) + (m.xy * points(i, 1) + m.x0);
+    const float y = m.yx * points(i, 0) + (m.yy * points(i, 1) + m.y0);
     const float inside_x = std::min(std::max(x, 0.f), static_cast<float>(last_column));
     const float inside_y = std::min(std::max(y, 0.f), static_cast<float>(last_row));
     const bool is_outside = inside_x != x || inside_y != y;
@@ -57,17 +46,23 @@ int sampleClamped(const cv::Mat& image, const Points& points, const Eigen::Vecto
   return count;
 }
 
-template <typename Pixel>
-int sample(const cv::Mat& image, const Points& points, const Box& box, const Eigen::Vector2f& displacement,
-           Eigen::Ref<Eigen::ArrayXf> values, Eigen::Ref<Eigen::ArrayXf> outside)
+/// Whether every point in the box is mapped inside the image, not on its last row or column.
+bool isInside(const cv::Mat& image, const Box& box, const PixelMap& m)
 {
-  const Eigen::Vector2f last(image.cols - 1, image.rows - 1);
-  if (((box.min() + displacement).array() >= 0.f).all() && ((box.max() + displacement).array() < last.array()).all())
+  for (const auto corner : { Box::BottomLeft, Box::BottomRight, Box::TopLeft, Box::TopRight })
   {
-    sampleInside<Pixel>(image, points, displacement, values);
-    return 0;
+    const Eigen::Vector2f p = box.corner(corner);
+    const float x = m.xx * p.x() + m.xy * p.y() + m.x0;
+    const float y = m.yx * p.x() + m.yy * p.y() + m.y0;
+    // Half a thousandth of a pixel for what rounding makes of other points.
+    constexpr float kMargin = 5e-4f;
+    if (!(x >= kMargin && y >= kMargin && x < static_cast<float>(image.cols - 1) - kMargin &&
+          y < static_cast<float>(image.rows - 1) - kMargin))
+    {
+      return false;
+    }
   }
-  return sampleClamped<Pixel>(image, points, displacement, values, outside);
+  return true;
 }
 }  // namespace
 
@@ -82,14 +77,24 @@ void checkImage(const cv::Mat& image)
 }
 
 int samplePoints(const cv::Mat& image, const IntensityModel& intensity, const Points& points, const Box& box,
-                 const Eigen::Vector2f& displacement, Eigen::Ref<Eigen::ArrayXf> values,
-                 Eigen::Ref<Eigen::ArrayXf> outside)
+                 const PixelMap& map, Eigen::Ref<Eigen::ArrayXf> values, Eigen::Ref<Eigen::ArrayXf> outside)
 {
-  const int count = image.type() == CV_8UC1 ? sample<std::uint8_t>(image, points, box, displacement, values, outside)
-                                            : sample<std::uint16_t>(image, points, box, displacement, values, outside);
+  int count = 0;
+  if (image.type() == CV_8UC1)
+  {
+    count = sampleClamped<std::uint8_t>(image, points, map, values, outside);
+  }
+  else if (isInside(image, box, map))
+  {
+    sampleInside(image, points, map, values);
+  }
+  else
+  {
+    count = sampleClamped<std::uint16_t>(image, points, map, values, outside);
+  }
   if (intensity.kind == IntensityModel::Kind::COUNTS)
   {
-    values = -(values - static_cast<float>(intensity.offset)).max(1.f).log();
+    attenuate(values.data(), values.size(), static_cast<float>(intensity.offset));
   }
   return count;
 }

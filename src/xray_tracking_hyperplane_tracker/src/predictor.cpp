@@ -1,11 +1,25 @@
 #include "predictor.h"
 
+#include <algorithm>
+#include <limits>
+
 #include <Eigen/Cholesky>
-#include <Eigen/LU>
 #include <Eigen/QR>
 
 namespace xray_tracking
 {
+namespace
+{
+/// One motion in this many judges the ridge.
+constexpr Eigen::Index kKeptOut = 5;
+/// Ridges that are tried, upwards until the judged error grows; in units of the mean variance of the differences.
+constexpr float kLeastRidge = 1e-5f;
+constexpr float kLargestRidge = 1.f;
+constexpr float kRidgeFactor = 10.f;
+/// Answers of a smaller slope are not scaled up further.
+constexpr float kLeastSlope = 0.5f;
+}  // namespace
+
 Nuisance::Nuisance(const Eigen::MatrixXd& patterns)
 {
   const Eigen::HouseholderQR<Eigen::MatrixXd> qr(patterns);
@@ -36,20 +50,48 @@ Eigen::MatrixXf backgroundCovariance(const Points& points, const Nuisance& nuisa
   return covariance / covariance.diagonal().mean();
 }
 
-Points learnPredictor(Eigen::MatrixXf& differences, const Points& motions, const Eigen::MatrixXf& prior,
-                      const Nuisance& nuisance)
+Predictor learnPredictor(Eigen::MatrixXf& differences, const Eigen::MatrixXf& motions,
+                         const Eigen::MatrixXf& covariance, const Nuisance& nuisance)
 {
   nuisance.removeFrom(differences);
-  const Eigen::Index n = differences.rows();
-  Eigen::MatrixXf normal = Eigen::MatrixXf::Zero(n, n);
-  normal.selfadjointView<Eigen::Lower>().rankUpdate(differences);
-  normal += normal.diagonal().mean() * prior;
-  Points predictor = normal.selfadjointView<Eigen::Lower>().llt().solve(differences * motions);
-  nuisance.removeFrom(predictor);
+  const Eigen::Index points = differences.rows();
+  const Eigen::Index kept_out = differences.cols() / kKeptOut;
+  const Eigen::Index used = differences.cols() - kept_out;
+  const auto training = differences.leftCols(used);
+  const auto judging = differences.rightCols(kept_out);
+  Eigen::MatrixXf normal = Eigen::MatrixXf::Zero(points, points);
+  normal.selfadjointView<Eigen::Lower>().rankUpdate(training, 1.f / static_cast<float>(used));
+  const float unit = normal.diagonal().mean();
+  normal += covariance;
+  const Eigen::MatrixXf moments = training * motions.topRows(used) / static_cast<float>(used);
+
+  Predictor best;
+  float least = std::numeric_limits<float>::infinity();
+  float before = 0.f;
+  for (float ridge = kLeastRidge; ridge <= kLargestRidge; ridge *= kRidgeFactor)
+  {
+    normal.diagonal().array() += (ridge - before) * unit;
+    before = ridge;
+    const Predictor candidate = normal.selfadjointView<Eigen::Lower>().llt().solve(moments);
+    const float error =
+        (judging.transpose() * candidate - motions.bottomRows(kept_out)).squaredNorm() / static_cast<float>(kept_out) +
+        (candidate.transpose() * covariance.selfadjointView<Eigen::Lower>() * candidate).trace();
+    if (!(error < least))
+    {
+      break;
+    }
+    least = error;
+    best = candidate;
+  }
+  nuisance.removeFrom(best);
 
   // Ridge and background shrink the answers; with slope one the iteration needs fewer steps and ends at the same place.
-  const Eigen::Matrix2f slope =
-      (motions.transpose() * motions).inverse() * (motions.transpose() * (differences.transpose() * predictor));
-  return predictor * slope.inverse();
+  // What hardly answers, such as a rotation beside large translations, stays small: blown up it would be noise.
+  for (Eigen::Index k = 0; k < motions.cols(); ++k)
+  {
+    const float slope = motions.col(k).dot(differences.transpose() * best.col(k)) / motions.col(k).squaredNorm();
+    best.col(k) /= std::max(slope, kLeastSlope);
+  }
+  return best;
 }
 }  // namespace xray_tracking

@@ -3,6 +3,7 @@
 #include <Eigen/Core>
 
 #include "point_sampler.h"
+#include "warp.h"
 
 namespace xray_tracking
 {
@@ -32,11 +33,14 @@ Eigen::MatrixXd shadingPatterns(const Points& points, const cv::Rect& region);
 /// patterns, scaled to unit mean variance.
 Eigen::MatrixXf backgroundCovariance(const Points& points, const Nuisance& nuisance);
 
-/// Solves the training's normal equations: A^T = (H H^T + C)^-1 H M, with C = prior times the mean diagonal of H H^T;
-/// nuisance patterns are removed on both sides and A is scaled so that its answers have slope one over the motions.
+using Predictor = Eigen::Matrix<float, Eigen::Dynamic, Eigen::Dynamic>;  ///< A^T, points x parameters
+
+/// Solves the training's normal equations: A^T = (H H^T + n (C + lambda))^-1 H M for n motions. lambda, the ridge that
+/// a finite number of motions needs beside the known covariance, is the one with which motions kept out of the training
+/// are predicted best under C. Nuisance patterns are removed on both sides; A is scaled so that its answers have slope
+/// one over the motions.
 /// @param differences H, points x motions; the nuisance's patterns are removed in place
-/// @param motions M, motions x parameters; @param prior covariance relative to H H^T's mean diagonal
-/// @return A^T, points x parameters
-Points learnPredictor(Eigen::MatrixXf& differences, const Points& motions, const Eigen::MatrixXf& prior,
-                      const Nuisance& nuisance);
+/// @param motions M, motions x parameters; @param covariance C of the differences that are not the motions'
+Predictor learnPredictor(Eigen::MatrixXf& differences, const Eigen::MatrixXf& motions,
+                         const Eigen::MatrixXf& covariance, const Nuisance& nuisance);
 }  // namespace xray_tracking

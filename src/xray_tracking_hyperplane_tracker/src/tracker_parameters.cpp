@@ -1,5 +1,8 @@
 #include "xray_tracking_hyperplane_tracker/tracker_parameters.h"
 
+#include <map>
+#include <string>
+
 #include "xray_tracking_conversions/parameters.h"
 #include "xray_tracking_core/option_check.h"
 
@@ -18,23 +21,74 @@ cv::Rect readRegion(const ros::NodeHandle& pnh, ParameterReader& reader)
   };
   return { read("x_offset"), read("y_offset"), read("width"), read("height") };
 }
+
+template <typename Value>
+Value named(const std::string& key, const std::string& name, const std::map<std::string, Value>& values)
+{
+  const auto found = values.find(name);
+  std::string expected;
+  for (const auto& value : values)
+  {
+    expected += (expected.empty() ? "" : " or ") + value.first;
+  }
+  requireOption(found != values.end(), key, name, expected);
+  return found->second;
+}
+
+const std::map<std::string, MotionModel> kModels = { { "translation", MotionModel::TRANSLATION },
+                                                     { "euclidean", MotionModel::EUCLIDEAN },
+                                                     { "similarity", MotionModel::SIMILARITY },
+                                                     { "affine", MotionModel::AFFINE } };
+const std::map<std::string, TrackingMethod> kMethods = { { "hyperplane", TrackingMethod::HYPERPLANE },
+                                                         { "nmi", TrackingMethod::NMI },
+                                                         { "gradient_correlation",
+                                                           TrackingMethod::GRADIENT_CORRELATION } };
 }  // namespace
+
+void TrackerParameters::validate() const
+{
+  tracker.validate();
+  try
+  {
+    registration.validate();
+  }
+  catch (const std::invalid_argument& error)
+  {
+    throw std::invalid_argument(std::string("registration_") + error.what());
+  }
+  requireInRange("queue_size", queue_size, 1, 100000);
+  requireInRange("max_wait", max_wait, 0.0, 3600.0);
+  requireInRange("train_timeout", train_timeout, 0.01, 3600.0);
+  requireInRange("image_timeout", image_timeout, 0.01, 3600.0);
+}
 
 TrackerParameters readTrackerParameters(const ros::NodeHandle& pnh, const std::string& default_detector)
 {
   ParameterReader reader(pnh);
   TrackerParameters parameters;
   HyperplaneTrackerOptions& tracker = parameters.tracker;
+  TemplateRegistrationOptions& registration = parameters.registration;
+  const std::string method = reader.read("method", std::string("hyperplane"));
+  const std::string model = reader.read("model", std::string("translation"));
   tracker.points = reader.read("points", tracker.points);
+  tracker.bin = reader.read("bin", tracker.bin);
   tracker.ranges = reader.read("ranges", tracker.ranges);
+  tracker.rotation_range = reader.read("rotation_range", tracker.rotation_range);
+  tracker.scale_range = reader.read("scale_range", tracker.scale_range);
   tracker.training_motions = reader.read("training_motions", tracker.training_motions);
-  tracker.ridge = reader.read("ridge", tracker.ridge);
   tracker.background = reader.read("background", tracker.background);
+  tracker.whole_region = reader.read("whole_region", tracker.whole_region);
   tracker.max_iterations = reader.read("max_iterations", tracker.max_iterations);
   tracker.convergence = reader.read("convergence", tracker.convergence);
   tracker.min_correlation = reader.read("min_correlation", tracker.min_correlation);
   tracker.found_correlation = reader.read("found_correlation", tracker.found_correlation);
+  tracker.min_quality = reader.read("min_quality", tracker.min_quality);
+  tracker.good_quality = reader.read("good_quality", tracker.good_quality);
   tracker.max_predicted_sd = reader.read("max_predicted_sd", tracker.max_predicted_sd);
+  registration.bins = reader.read("registration_bins", registration.bins);
+  registration.range = reader.read("registration_range", registration.range);
+  registration.min_correlation = reader.read("registration_min_correlation", registration.min_correlation);
+  registration.found_correlation = reader.read("registration_found_correlation", registration.found_correlation);
   const int seed = reader.read("seed", static_cast<int>(tracker.seed));
   parameters.detector = reader.read("detector", default_detector);
   parameters.setup_file = reader.read("setup_file", parameters.setup_file);
@@ -43,16 +97,26 @@ TrackerParameters readTrackerParameters(const ros::NodeHandle& pnh, const std::s
     parameters.region = readRegion(pnh, reader);
   }
   parameters.queue_size = reader.read("queue_size", parameters.queue_size);
+  parameters.max_wait = reader.read("max_wait", parameters.max_wait);
   parameters.train_timeout = reader.read("train_timeout", parameters.train_timeout);
   parameters.image_timeout = reader.read("image_timeout", parameters.image_timeout);
+  parameters.overlay_points = reader.read("overlay_points", parameters.overlay_points);
   reader.warnOfUnread();
 
+  parameters.method = named("method", method, kMethods);
+  tracker.model = named("model", model, kModels);
+  if (parameters.method != TrackingMethod::HYPERPLANE)
+  {
+    requireOption(tracker.model == MotionModel::TRANSLATION || tracker.model == MotionModel::EUCLIDEAN, "model", model,
+                  "translation or euclidean where the method is " + method);
+    registration.model = tracker.model;
+  }
+  registration.similarity = parameters.method == TrackingMethod::GRADIENT_CORRELATION
+                                ? TemplateRegistrationOptions::Similarity::GRADIENT_CORRELATION
+                                : TemplateRegistrationOptions::Similarity::NORMALISED_MUTUAL_INFORMATION;
   requireOption(seed >= 0, "seed", seed, "0 or more");
   tracker.seed = static_cast<std::uint32_t>(seed);
-  tracker.validate();
-  requireInRange("queue_size", parameters.queue_size, 1, 100000);
-  requireInRange("train_timeout", parameters.train_timeout, 0.01, 3600.0);
-  requireInRange("image_timeout", parameters.image_timeout, 0.01, 3600.0);
+  parameters.validate();
   return parameters;
 }
 }  // namespace xray_tracking

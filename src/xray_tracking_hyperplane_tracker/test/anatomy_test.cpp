@@ -36,7 +36,7 @@ std::vector<double> trackingErrors(const std::vector<cv::Mat>& images, const std
   for (std::size_t k = 1; k < images.size(); ++k)
   {
     const TrackResult& result = tracker.track(images[k]);
-    EXPECT_EQ(result.status, TrackResult::Status::TRACKED) << geometry.name() << ", exposure " << k;
+    EXPECT_TRUE(result.found()) << geometry.name() << ", exposure " << k;
     errors.push_back((result.displacement - (places[k] - places[0])).norm() * pixelAtTarget(geometry, setup));
   }
   return errors;
@@ -114,9 +114,9 @@ TEST(HyperplaneTrackerOnAnatomy, followsTheVertebraInTheNeckPhantom)
         trackingErrors(images[d], places[d], setup, geometry, projectedTargetRegion(setup, geometry));
     RecordProperty(geometry.name() + "_median_mm", std::to_string(quantile(errors, 0.5)));
     RecordProperty(geometry.name() + "_max_mm", std::to_string(quantile(errors, 1.0)));
-    // What leaves room for a 3D error of 0.3 mm in the median and 1 mm at most.
-    EXPECT_LT(quantile(errors, 0.5), 0.2) << geometry.name();
-    EXPECT_LT(quantile(errors, 1.0), 0.7) << geometry.name();
+    // What leaves room for a 3D error of 0.15 mm in the median and 0.4 mm at most.
+    EXPECT_LT(quantile(errors, 0.5), 0.1) << geometry.name();
+    EXPECT_LT(quantile(errors, 1.0), 0.25) << geometry.name();
   }
 }
 

@@ -78,7 +78,7 @@ std::vector<Eigen::Vector2d> walk(int count)
   return places;
 }
 
-/// Follows a noisy walk; judges every frame and the covariance. @param counts, type of the images
+/// Follows a noisy walk; judges every frame. @param counts, type of the images
 void followNoisyWalk(double counts_in_air, int type, double noise)
 {
   HyperplaneTrackerOptions options;
@@ -86,11 +86,10 @@ void followNoisyWalk(double counts_in_air, int type, double noise)
   Exposure exposure;
   exposure.noise = noise;
   tracker.train(expose(exposure, counts_in_air, type), kRegion);
-  // Both images' noise is in the bound. The predictor gives some of the information away, what shading, contrast and a
-  // background could also explain: it may err by three times the bound.
-  const double sd = 3.0 * displacementBound(kRegion, options.points, noise) + kInterpolation;
+  // Both images' noise is in the bound. What shading, contrast and a background could also explain is given away: half
+  // as much again as the bound.
+  const double sd = 1.5 * displacementBound(kRegion, kRegion.area(), noise) + kInterpolation;
   double squares = 0.0;
-  double normalised = 0.0;
   const std::vector<Eigen::Vector2d> places = walk(30);
   for (const Eigen::Vector2d& place : places)
   {
@@ -99,12 +98,8 @@ void followNoisyWalk(double counts_in_air, int type, double noise)
     expectFollows(tracker, expose(exposure, counts_in_air, type), place, 3.5 * sd);
     const Eigen::Vector2d error = tracker.result().displacement - place;
     squares += error.squaredNorm();
-    normalised += error.dot(tracker.result().covariance.inverse() * error);
   }
   EXPECT_LT(std::sqrt(squares / places.size()), sd);
-  // Two degrees of freedom; not calibrated (the template's noise is common to all frames), but of the right size.
-  EXPECT_GT(normalised / places.size(), 2.0 / 4.0);
-  EXPECT_LT(normalised / places.size(), 2.0 * 4.0);
 }
 
 TEST(HyperplaneTracker, followsSubpixelMotionIn16Bit)
@@ -122,9 +117,11 @@ TEST(HyperplaneTracker, trainingExposureHasNoDisplacement)
   HyperplaneTracker tracker = trainedTracker();
   const TrackResult& result = tracker.track(expose({}));
   EXPECT_EQ(result.status, TrackResult::Status::TRACKED);
-  EXPECT_EQ(result.displacement, Eigen::Vector2d::Zero());
+  // The template without noise, which is rounding to whole counts here, is not quite its image.
+  EXPECT_LT(result.displacement.norm(), 1e-4);
   EXPECT_GT(result.correlation, 0.999);
-  EXPECT_GT(result.covariance.determinant(), 0.0);
+  EXPECT_GT((result.covariance.topLeftCorner<2, 2>().determinant()), 0.0);
+  EXPECT_EQ(result.linear, Eigen::Matrix2d::Identity());
 }
 
 TEST(HyperplaneTracker, capturesTwentyPixelsInEveryDirection)
@@ -278,7 +275,7 @@ TEST(HyperplaneTracker, isFoundAgainOnlyWellAboveTheThreshold)
 
   HyperplaneTracker tracker = trainedTracker({}, options);
   EXPECT_EQ(tracker.track(expose(noisy)).status, TrackResult::Status::TRACKED);
-  EXPECT_EQ(tracker.track(cv::Mat::zeros(exposureSize(), CV_16UC1)).status, TrackResult::Status::LOW_CORRELATION);
+  EXPECT_FALSE(tracker.track(cv::Mat::zeros(exposureSize(), CV_16UC1)).found());
   EXPECT_EQ(tracker.track(expose(noisy)).status, TrackResult::Status::LOW_CORRELATION);
   EXPECT_EQ(tracker.track(expose({})).status, TrackResult::Status::TRACKED);
   EXPECT_EQ(tracker.track(expose(noisy)).status, TrackResult::Status::TRACKED);
@@ -364,7 +361,10 @@ TEST(HyperplaneTrackerOptions, namesTheOptionThatIsWrong)
       } },
     { "ranges is nan", [](Options& o) { o.ranges = { std::nan("") }; } },
     { "training_motions is 0", [](Options& o) { o.training_motions = 0; } },
-    { "ridge is 0", [](Options& o) { o.ridge = 0.0; } },
+    { "bin is 0", [](Options& o) { o.bin = 0; } },
+    { "rotation_range is 0", [](Options& o) { o.rotation_range = 0.0; } },
+    { "scale_range is nan", [](Options& o) { o.scale_range = std::nan(""); } },
+    { "good_quality is 2", [](Options& o) { o.good_quality = 2.0; } },
     { "background is -1", [](Options& o) { o.background = -1.0; } },
     { "max_iterations is 0", [](Options& o) { o.max_iterations = 0; } },
     { "convergence is 0", [](Options& o) { o.convergence = 0.0; } },

@@ -21,7 +21,8 @@ TEST(RegionOverlay, drawsReferenceAndTrackedRegion)
 {
   RegionOverlay overlay;
   overlay.reference = kRegion;
-  overlay.displacement = Eigen::Vector2d(12.4, -7.6);
+  overlay.found.emplace();
+  overlay.found->displacement = { 12.4, -7.6 };
   overlay.colour = kGreen;
   const cv::Mat picture = drawRegionOverlay(expose({}), overlay);
   ASSERT_EQ(picture.type(), CV_8UC3);
@@ -29,6 +30,22 @@ TEST(RegionOverlay, drawsReferenceAndTrackedRegion)
   EXPECT_TRUE(isColour(picture, { 70, 120 }, cv::Scalar(160, 160, 160)));
   EXPECT_TRUE(isColour(picture, { 70 + 12, 100 - 8 }, kGreen));
   EXPECT_FALSE(isColour(picture, { 120, 100 }, kGreen));
+}
+
+TEST(RegionOverlay, drawsTheLinearPartAndPoints)
+{
+  RegionOverlay overlay;
+  overlay.reference = kRegion;
+  overlay.colour = kGreen;
+  overlay.found.emplace();
+  overlay.found->linear << 0.5, 0.0, 0.0, 1.0;  // half as wide about its centre at 119.5
+  overlay.points = { { { 110.0F, 90.0F }, 0.0F }, { { 130.0F, 90.0F }, -1.0F }, { { 120.0F, 110.0F }, 0.5F } };
+  const cv::Mat picture = drawRegionOverlay(expose({}), overlay);
+  EXPECT_TRUE(isColour(picture, { 95, 80 }, kGreen));
+  EXPECT_TRUE(isColour(picture, { 144, 80 }, kGreen));
+  EXPECT_TRUE(isColour(picture, { 110, 90 }, cv::Scalar(0, 255, 0)));
+  EXPECT_TRUE(isColour(picture, { 130, 90 }, cv::Scalar(0, 0, 255)));
+  EXPECT_TRUE(isColour(picture, { 120, 110 }, cv::Scalar(0, 255, 255)));
 }
 
 TEST(RegionOverlay, showsLostRegionsAndNoneInTheStatesColour)

@@ -51,14 +51,20 @@ private:
 struct Exposure
 {
   Eigen::Vector2d displacement = Eigen::Vector2d::Zero();          ///< of the target [px]
+  Eigen::Matrix2d linear = Eigen::Matrix2d::Identity();            ///< of the target, about kCentre
   Eigen::Vector2d overlay_displacement = Eigen::Vector2d::Zero();  ///< of what lies over it [px]
   double overlay = 0.0;                                            ///< its weight
   double gain = 1.0;
   double contrast = 1.0;
-  double shading = 0.0;  ///< attenuation that slow shading adds at the image's corners
-  double noise = 0.0;    ///< standard deviation of the relative, i.e. the attenuation's noise
+  double shading = 0.0;   ///< attenuation that slow shading adds at the image's corners
+  cv::Rect cover;         ///< something with constant attenuation over the image
+  double covering = 0.0;  ///< that attenuation
+  double noise = 0.0;     ///< standard deviation of the relative, i.e. the attenuation's noise
   std::uint32_t seed = 0;
 };
+
+/// Of kRegion in the tests.
+inline const Eigen::Vector2d kCentre(119.5, 99.5);
 
 constexpr double kOffset = 100.0;
 inline cv::Size exposureSize()
@@ -79,13 +85,16 @@ inline cv::Mat expose(const Exposure& e, double counts = 20000.0, int type = CV_
   std::mt19937 random(e.seed);
   std::normal_distribution<double> noise(0.0, e.noise > 0.0 ? e.noise : 1.0);
   cv::Mat values(exposureSize(), CV_64F);
+  const Eigen::Matrix2d inverse = e.linear.inverse();
   for (int y = 0; y < values.rows; ++y)
   {
     for (int x = 0; x < values.cols; ++x)
     {
       const double u = 2.0 * x / values.cols - 1.0;
       const double v = 2.0 * y / values.rows - 1.0;
-      double attenuation = e.contrast * targetField()(x - e.displacement.x(), y - e.displacement.y()) +
+      const Eigen::Vector2d place = kCentre + inverse * (Eigen::Vector2d(x, y) - kCentre - e.displacement);
+      double attenuation = e.contrast * targetField()(place.x(), place.y()) +
+                           (e.cover.contains({ x, y }) ? e.covering : 0.0) +
                            e.shading * (u + 0.5 * v + u * v - v * v) / 3.0;
       if (e.overlay > 0.0)
       {

@@ -133,11 +133,16 @@ BeamGate::Verdict BeamGate::judge(const GateExposure& exposure) const
   {
     return { GateReason::UNCERTAIN, exposure.doubt };
   }
-  if (exposure.displacement.norm() > options_.max_displacement || exposure.rotation > options_.max_rotation)
+  return judgePlace(exposure.displacement, exposure.rotation);
+}
+
+BeamGate::Verdict BeamGate::judgePlace(const Eigen::Vector3d& displacement, double rotation) const
+{
+  if (displacement.norm() > options_.max_displacement || rotation > options_.max_rotation)
   {
-    return { GateReason::DISPLACED, compose("the target is displaced by ", exposure.displacement.norm(),
-                                            " mm and turned by ", exposure.rotation, " rad, expected at most ",
-                                            options_.max_displacement, " mm and ", options_.max_rotation, " rad") };
+    return { GateReason::DISPLACED,
+             compose("the target is displaced by ", displacement.norm(), " mm and turned by ", rotation,
+                     " rad, expected at most ", options_.max_displacement, " mm and ", options_.max_rotation, " rad") };
   }
   return { GateReason::NONE, "" };
 }
@@ -167,7 +172,10 @@ bool BeamGate::update(const GateExposure& exposure)
     rotation_ = exposure.rotation;
     last_place_.emplace(exposure.stamp, exposure.displacement);
   }
-  jumped_ = jumped_ || verdict.reason == GateReason::JUMP;
+  if (verdict.reason == GateReason::JUMP)
+  {
+    jump_ = exposure.stamp;
+  }
 
   // A missing exposure is a missed chance to see that something is wrong, if it is missing for long.
   const bool gap = previous && exposure.stamp - *previous > maxAge();
@@ -177,15 +185,15 @@ bool BeamGate::update(const GateExposure& exposure)
     return change(verdict);
   }
   good_ = gap ? 1 : good_ + 1;
-  const int needed = jumped_ ? options_.jump_exposures : options_.good_exposures;
+  const int needed = jump_ ? options_.jump_exposures : options_.good_exposures;
   if (good_ >= needed)
   {
-    jumped_ = false;
+    jump_.reset();
     return open() ? false : change({ GateReason::NONE, compose(good_, " good exposures in a row") });
   }
-  return change({ jumped_ ? GateReason::JUMP : GateReason::CONFIRMING,
-                  jumped_ ? compose("an earlier jump is unconfirmed until ", needed, " good exposures or a refinement")
-                          : compose("good, but needs ", needed, " good exposures in a row") });
+  return change({ jump_ ? GateReason::JUMP : GateReason::CONFIRMING,
+                  jump_ ? compose("an earlier jump is unconfirmed until ", needed, " good exposures or a refinement")
+                        : compose("good, but needs ", needed, " good exposures in a row") });
 }
 
 bool BeamGate::tick(std::int64_t now)
@@ -199,18 +207,26 @@ bool BeamGate::tick(std::int64_t now)
                                              seconds(maxAge()), " s") });
 }
 
-void BeamGate::refined(const Eigen::Vector3d& correction)
+bool BeamGate::refined(std::int64_t stamp, const Eigen::Vector3d& correction, double rotation)
 {
   displacement_ += correction;
+  rotation_ = rotation;
   if (last_place_)
   {
     last_place_->second += correction;
   }
-  if (jumped_)
+  if (jump_ && stamp >= *jump_)
   {
-    jumped_ = false;
+    jump_.reset();
     good_ = 0;
   }
+  const Verdict verdict = judgePlace(displacement_, rotation_);
+  if (!open() || verdict.reason == GateReason::NONE)
+  {
+    return false;
+  }
+  good_ = 0;
+  return change(verdict);
 }
 
 bool BeamGate::reset(const std::string& why)
@@ -221,7 +237,7 @@ bool BeamGate::reset(const std::string& why)
   displacement_.setZero();
   rotation_ = 0.0;
   good_ = 0;
-  jumped_ = false;
+  jump_.reset();
   return change({ GateReason::NO_EXPOSURE, why });
 }
 

@@ -172,6 +172,7 @@ std::string MotionEstimationRos::checkGeometry()
         geometries.push_back(view.camera_info.geometry(view.name, view.room_from_optical));
       }
       estimator_.emplace(parameters_.estimation, geometries, setup_.targetCentre(), shape_.get(), reference_);
+      estimator_->setReference(reference_, reference_covariance_);
       geometries_ = std::move(geometries);
       const TargetShape shape = shape_.get().about(setup_.targetCentre(), reference_.linear());
       const auto tracking = std::find_if(views_.begin(), views_.end(),
@@ -215,12 +216,12 @@ void MotionEstimationRos::findReferences()
                            view.name << " was trained on the exposure at " << stamp << ", " << first_view->name
                                      << " on that at " << first_stamp << ": motion between them stays unseen");
     }
-    if (!view.reference || view.reference->first != stamp)
+    if (!view.reference || view.reference->template_stamp != stamp)
     {
       const std::optional<RigidTransform> pose = history_.at(nanosecondsFromTime(stamp));
       if (pose)
       {
-        view.reference = std::make_pair(stamp, *pose);
+        view.reference = Reference{ stamp, *pose };
         continue;
       }
       std::ostringstream reason;
@@ -232,24 +233,27 @@ void MotionEstimationRos::findReferences()
 
 ViewMeasurement MotionEstimationRos::measure(std::size_t view) const
 {
-  const TrackedRegion& region = *assembler_->exposure()[view];
-  ViewMeasurement measurement;
-  measurement.room_from_patient = views_[view].reference->second;
-  Track& track = measurement.track;
+  const Reference& reference = *views_[view].reference;
+  const Track track = trackOf(view, *assembler_->exposure()[view], assembler_->offset(view));
+  return { reference.room_from_patient, reference.anchor ? track.since(*reference.anchor) : track };
+}
+
+Track MotionEstimationRos::trackOf(std::size_t view, const TrackedRegion& region, std::int64_t offset) const
+{
+  Track track;
   track.centre = { region.region.x_offset + (region.region.width - 1.0) / 2.0,
                    region.region.y_offset + (region.region.height - 1.0) / 2.0 };
   track.model = static_cast<TrackModel>(region.model);
   track.displacement = { region.displacement_x, region.displacement_y };
   track.linear = Eigen::Map<const Eigen::Matrix<double, 2, 2, Eigen::RowMajor>>(region.linear.data());
   track.covariance = Eigen::Map<const Matrix6d>(region.covariance.data()).transpose();
-  if (assembler_->offset(view) != 0)
+  if (offset != 0)
   {
-    const Eigen::Vector3d target = last_pose_.value_or(reference_) * setup_.targetCentre();
-    track.covariance.topLeftCorner<2, 2>() +=
-        asynchronyCovariance(geometries_[view].projectionJacobian(target), parameters_.target_speed,
-                             1e-9 * static_cast<double>(assembler_->offset(view)));
+    const Eigen::Vector3d target = (last_pose_ ? last_pose_->second : reference_) * setup_.targetCentre();
+    track.covariance.topLeftCorner<2, 2>() += asynchronyCovariance(
+        geometries_[view].projectionJacobian(target), parameters_.target_speed, 1e-9 * static_cast<double>(offset));
   }
-  return measurement;
+  return track;
 }
 
 void MotionEstimationRos::judgeConsistency(const MotionEstimate& estimate, PatientMotion& motion)

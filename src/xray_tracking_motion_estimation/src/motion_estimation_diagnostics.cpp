@@ -140,6 +140,7 @@ void MotionEstimationRos::diagnose(diagnostic_updater::DiagnosticStatusWrapper& 
   status.add("refinements refused", refinement_->refused());
   status.add("refinements without an answer", refinement_->timeouts());
   status.add("refinements not asked for, one under way", refinement_->unheard());
+  status.add("refinements skipped for later exposures", refinement_->skipped());
   status.add("last refusal", refinement_->lastRefusal());
   if (last_motion_)
   {

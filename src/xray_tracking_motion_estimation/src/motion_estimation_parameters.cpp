@@ -88,6 +88,7 @@ MotionEstimationParameters readMotionEstimationParameters(const ros::NodeHandle&
   std::string mode = "never";
   refinement.read("mode", mode);
   refinement.read("every_n", parameters.refinement.every_n);
+  refinement.read("queue_size", parameters.refinement.queue_size);
   refinement.read("drift", parameters.refinement.drift);
   refinement.read("drift_rotation", parameters.refinement.drift_rotation);
   refinement.read("drift_residual", parameters.refinement.drift_residual);
@@ -96,6 +97,7 @@ MotionEstimationParameters readMotionEstimationParameters(const ros::NodeHandle&
   refinement.read("max_correction_rotation", parameters.refinement.max_correction_rotation);
   refinement.read("min_similarity", parameters.refinement.min_similarity);
   refinement.read("significance", parameters.refinement.significance);
+  refinement.read("tissue_sigma", parameters.refinement.tissue_sigma);
   reader.warnOfUnread();
 
   estimation.method = estimationMethodFromName(method);

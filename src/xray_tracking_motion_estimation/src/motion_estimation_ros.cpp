@@ -20,7 +20,9 @@ using xray_tracking_msgs::TrackedRegion;
 /// Templates refer to exposures of the last seconds; the reference in use is kept apart.
 constexpr std::size_t kHistoryCapacity = 1000;
 
-constexpr double kRefinementPeriod = 0.02;  // s, of looking whether an answer has come
+/// Messages of a played bag are ahead of the last tick of its clock by up to a tick: 10 ms, times the playback's speed
+/// [ns].
+constexpr std::int64_t kClockTick = 50000000;
 
 std::int64_t nanosecondsFromSeconds(double seconds)
 {
@@ -87,13 +89,10 @@ void MotionEstimationRos::start()
                       { return bone ? boneShape(setup) : TargetShape::isotropic(setup.targetCentre()); });
   consistency_.emplace(parameters_.consistency);
   predictor_.emplace(parameters_.prediction, setup_.targetCentre());
-  refinement_client_.emplace(nh_, parameters_.refinement.timeout);
-  refinement_.emplace(parameters_.refinement, setup_.targetCentre(),
-                      [this](const RefinementRequest& request) { return refinement_client_->request(request); });
-
   motion_publisher_ = nh_.advertise<PatientMotion>("patient_motion", 100);
   pose_publisher_ = nh_.advertise<geometry_msgs::PoseWithCovarianceStamped>("patient_pose", 100);
   prediction_publisher_ = nh_.advertise<geometry_msgs::PoseWithCovarianceStamped>("predicted_pose", 100);
+  startRefinement();
   const std::vector<std::string>& detectors = parameters_.detectors;
   assembler_.emplace(detectors.size(), parameters_.queue_size, nanosecondsFromSeconds(parameters_.pairing_tolerance));
   measurements_.resize(detectors.size());
@@ -111,12 +110,6 @@ void MotionEstimationRos::start()
         [this, i](const TrackedRegion::ConstPtr& message) { trackedRegionCb(message, i); };
     view.tracked_region_subscriber = nh_.subscribe<TrackedRegion>(view.name + "/tracked_region", parameters_.queue_size,
                                                                   tracked_region_cb, nullptr, no_delay);
-  }
-  if (parameters_.refinement.mode != RefinementMode::NEVER)
-  {
-    refine_server_ = pnh_.advertiseService("refine", &MotionEstimationRos::refineCb, this);
-    refinement_timer_ =
-        nh_.createSteadyTimer(ros::WallDuration(kRefinementPeriod), &MotionEstimationRos::refinementCb, this);
   }
 }
 
@@ -158,19 +151,13 @@ void MotionEstimationRos::trackedRegionCb(const TrackedRegion::ConstPtr& message
         history_.add(nanoseconds + assembler_->offset(i), result->room_from_patient);
       }
     }
-    last_pose_ = result->room_from_patient;
+    last_pose_ = { nanoseconds, result->room_from_patient };
     publishPose(*result, stamp);
     ++poses_;
     predictor_->add(nanoseconds, result->room_from_patient, result->pose_covariance);
     publishPrediction();
   }
   tellGate(motion, result);
-  if (motion.state == PatientMotion::OK)
-  {
-    refinement_->onExposure(
-        { assembler_->stamp(), result->room_from_patient, result->pose_covariance, result->disagreement },
-        steadyNanoseconds());
-  }
   double cpu_seconds = 0.0;
   double wall_seconds = 0.0;
   for (const TrackedRegion::ConstPtr& region : assembler_->exposure())
@@ -185,6 +172,7 @@ void MotionEstimationRos::trackedRegionCb(const TrackedRegion::ConstPtr& message
   motion.cpu_time = durationFromSeconds(cpu_seconds + stopwatch.cpuSeconds());
   motion.wall_time = durationFromSeconds(wall_seconds + stopwatch.wallSeconds());
   motion_publisher_.publish(motion);
+  considerRefinement(motion, result);
   report(motion);
 }
 
@@ -239,6 +227,10 @@ void MotionEstimationRos::tellGate(const PatientMotion& motion, const std::optio
   exposure.stamp = nanosecondsFromTime(motion.header.stamp);
   exposure.arrival = steadyNanoseconds();
   exposure.delay = nanosecondsFromTime(ros::Time::now()) - exposure.stamp;
+  if (ros::Time::isSimTime() && exposure.delay < 0 && exposure.delay > -kClockTick)
+  {
+    exposure.delay = 0;
+  }
   exposure.text = motion.reason;
   if (motion.state == PatientMotion::INCONSISTENT)
   {
@@ -261,65 +253,6 @@ void MotionEstimationRos::tellGate(const PatientMotion& motion, const std::optio
   gate_->update(exposure);
 }
 
-bool MotionEstimationRos::refineCb(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response)
-{
-  response.success = static_cast<std::uint8_t>(refinement_->demand());
-  response.message = "the next exposure that has a pose will be refined";
-  return true;
-}
-
-void MotionEstimationRos::refinementCb(const ros::SteadyTimerEvent&)
-{
-  if (refinement_->tick(steadyNanoseconds()))
-  {
-    ROS_WARN_STREAM("refinement: no answer within " << parameters_.refinement.timeout << " s");
-  }
-  if (!refinement_->pending())
-  {
-    refinement_client_->cancel();
-  }
-  const std::optional<RefinementReply> reply = refinement_client_->takeReply();
-  if (!reply || !refinement_->pending())  // an answer to what was given up
-  {
-    return;
-  }
-  const std::optional<Refinement> refinement = refinement_->onReply(*reply);
-  if (refinement)
-  {
-    accept(*refinement);
-  }
-  else
-  {
-    ROS_WARN_STREAM_THROTTLE(1.0, "refinement refused: " << refinement_->lastRefusal());
-  }
-}
-
-void MotionEstimationRos::accept(const Refinement& refinement)
-{
-  const Eigen::Vector3d target = setup_.targetCentre();
-  const auto carry = [&](const RigidTransform& pose) { return refinement.carry(pose, target); };
-  const RigidTransform before = *last_pose_;
-  const RigidTransform after = carry(before);
-  history_.transform(carry);
-  for (View& view : views_)
-  {
-    if (view.reference)
-    {
-      view.reference->second = carry(view.reference->second);
-    }
-  }
-  reference_ = carry(reference_);
-  estimator_.reset();
-  consistency_->reset();
-  last_pose_ = after;
-  predictor_->correct(before, after);
-  gate_->refined(after * target - before * target);
-  const Twist correction = twistAbout(before * target, after * before.inverse());
-  ROS_INFO_STREAM("refinement accepted: the target is "
-                  << correction.tail<3>().norm() << " mm and " << correction.head<3>().norm()
-                  << " rad from where the tracks put it at " << timeFromNanoseconds(refinement.stamp));
-}
-
 void MotionEstimationRos::forget()
 {
   history_.clear();
@@ -330,6 +263,8 @@ void MotionEstimationRos::forget()
     view.reference.reset();
   }
   reference_ = setup_.room_from_patient;
+  reference_covariance_.setZero();
+  tracked_views_.clear();
   estimator_.reset();
   consistency_->reset();
   last_pose_.reset();

@@ -65,32 +65,13 @@ void MotionEstimationOptions::validate() const
 MotionEstimator::MotionEstimator(const MotionEstimationOptions& options, std::vector<ProjectionGeometry> views,
                                  const Eigen::Vector3d& target_centre, const TargetShape& shape,
                                  const RigidTransform& room_from_patient_reference)
-  : options_(options),
-    views_(std::move(views)),
-    target_centre_(target_centre),
-    shape_(shape),
-    reference_(room_from_patient_reference),
-    reference_target_(reference_ * target_centre_)
+  : options_(options), views_(std::move(views)), target_centre_(target_centre), shape_(shape)
 {
   options_.validate();
   requireOption(views_.size() >= 2 && views_.size() <= kMaxViews, "the number of views", views_.size(),
                 "2 to " + std::to_string(kMaxViews));
-  Observations all;
-  for (std::size_t i = 0; i < views_.size(); ++i)
-  {
-    const double depth = views_[i].depth(reference_target_);
-    requireOption(depth > 0.0, "the target's distance from the source of " + views_[i].name(), depth,
-                  "a number > 0 mm: a target in front of the source");
-    lines_of_sight_.push_back((reference_target_ - views_[i].source()).normalized());
-    all.emplace_back();
-    all.back().view = i;
-  }
+  setReference(room_from_patient_reference, Matrix6d::Zero());
   shape_.validate();
-  const double widest = widestAngle(all);
-  requireOption(
-      widest >= options_.min_view_angle,
-      "the views" + viewNames(all) + " are as good as parallel: the widest angle of their rays through the target",
-      widest, "min_view_angle, " + std::to_string(options_.min_view_angle) + " rad, or more");
 
   chi_square_limits_.resize(kMaxDegreesOfFreedom + 1);
   for (std::size_t i = 1; i <= kMaxDegreesOfFreedom; ++i)
@@ -98,6 +79,31 @@ MotionEstimator::MotionEstimator(const MotionEstimationOptions& options, std::ve
     chi_square_limits_[i] = boost::math::quantile(
         boost::math::complement(boost::math::chi_squared(static_cast<double>(i)), options_.significance));
   }
+}
+
+void MotionEstimator::setReference(const RigidTransform& room_from_patient_reference, const Matrix6d& covariance)
+{
+  const Eigen::Vector3d target = room_from_patient_reference * target_centre_;
+  std::vector<Eigen::Vector3d> lines_of_sight;
+  Observations all;
+  for (std::size_t i = 0; i < views_.size(); ++i)
+  {
+    const double depth = views_[i].depth(target);
+    requireOption(depth > 0.0, "the target's distance from the source of " + views_[i].name(), depth,
+                  "a number > 0 mm: a target in front of the source");
+    lines_of_sight.push_back((target - views_[i].source()).normalized());
+    all.emplace_back();
+    all.back().view = i;
+  }
+  const double widest = widestAngle(all, lines_of_sight);
+  requireOption(
+      widest >= options_.min_view_angle,
+      "the views" + viewNames(all) + " are as good as parallel: the widest angle of their rays through the target",
+      widest, "min_view_angle, " + std::to_string(options_.min_view_angle) + " rad, or more");
+  reference_ = room_from_patient_reference;
+  reference_target_ = target;
+  lines_of_sight_ = std::move(lines_of_sight);
+  reference_covariance_ = covariance;
 }
 
 MotionEstimate MotionEstimator::estimate(const std::vector<std::optional<ViewMeasurement>>& measurements) const
@@ -122,7 +128,7 @@ MotionEstimate MotionEstimator::estimate(const std::vector<std::optional<ViewMea
     }
   }
   // Also false for fewer than two views. The scale of one view tells depth to centimetres, which is no measurement.
-  if (!(widestAngle(observations) >= options_.min_view_angle))
+  if (!(widestAngle(observations, lines_of_sight_) >= options_.min_view_angle))
   {
     estimate.status = EstimateStatus::UNOBSERVABLE;
     estimate.reason = observations.empty()
@@ -132,16 +138,18 @@ MotionEstimate MotionEstimator::estimate(const std::vector<std::optional<ViewMea
   }
 
   Motion motion{ reference_target_, Eigen::Matrix3d::Identity() };
-  bool solved = true;
+  Solution solution = Solution::FOUND;
   if (options_.method == EstimationMethod::BACKPROJECTION)
   {
     backProject(measurements, observations, motion, estimate.covariance);
   }
   else
   {
-    solved = solveLeastSquares(observations, motion, estimate.covariance);
+    solution = solveLeastSquares(observations, motion, estimate.covariance);
   }
-  if (!solved || !judgeConsistency(observations, motion, estimate))
+  // Tracks that contradict each other by many pixels pull the steps to and fro; for the judgement it is near enough.
+  if (solution == Solution::NONE || !judgeConsistency(observations, motion, estimate) ||
+      (solution == Solution::NEAR && estimate.status == EstimateStatus::OK))
   {
     estimate = MotionEstimate();
     estimate.reason = "the tracks lead to no place in front of all sources";
@@ -215,7 +223,8 @@ void MotionEstimator::whiten(const Observation& observation, const Motion& motio
   root.solveInPlace(whitened.jacobian);
 }
 
-double MotionEstimator::widestAngle(const Observations& observations) const
+double MotionEstimator::widestAngle(const Observations& observations,
+                                    const std::vector<Eigen::Vector3d>& lines_of_sight)
 {
   double widest = 0.0;
   for (const Observation& a : observations)
@@ -223,7 +232,7 @@ double MotionEstimator::widestAngle(const Observations& observations) const
     for (const Observation& b : observations)
     {
       // Between lines, not directions: a view from the opposite side adds no parallax.
-      const double sine = lines_of_sight_[a.view].cross(lines_of_sight_[b.view]).norm();
+      const double sine = lines_of_sight[a.view].cross(lines_of_sight[b.view]).norm();
       widest = std::max(widest, std::asin(std::min(1.0, sine)));
     }
   }
@@ -240,7 +249,8 @@ std::string MotionEstimator::viewNames(const Observations& observations) const
   return names;
 }
 
-bool MotionEstimator::solveLeastSquares(const Observations& observations, Motion& motion, Matrix6d& covariance) const
+MotionEstimator::Solution MotionEstimator::solveLeastSquares(const Observations& observations, Motion& motion,
+                                                             Matrix6d& covariance) const
 {
   const double rotation_weight = 1.0 / (options_.rotation_sigma * options_.rotation_sigma);
   Whitened whitened;
@@ -262,17 +272,17 @@ bool MotionEstimator::solveLeastSquares(const Observations& observations, Motion
     const Vector6d step = cholesky.solve(gradient);
     if (cholesky.info() != Eigen::Success || !step.allFinite())
     {
-      return false;
+      return Solution::NONE;
     }
+    covariance = cholesky.solve(Matrix6d::Identity());
     motion.target += step.head<3>();
     motion.rotation = rotationFromVector(step.tail<3>()) * motion.rotation;
     if (step.head<3>().norm() + 100.0 * step.tail<3>().norm() < kConverged)
     {
-      covariance = cholesky.solve(Matrix6d::Identity());
-      return true;
+      return Solution::FOUND;
     }
   }
-  return false;
+  return Solution::NEAR;
 }
 
 void MotionEstimator::backProject(const std::vector<std::optional<ViewMeasurement>>& measurements,
@@ -374,6 +384,7 @@ void MotionEstimator::fillPose(const Motion& motion, MotionEstimate& estimate) c
   estimate.room_from_patient.linear() = rotation;
   estimate.room_from_patient.translation() = motion.target - rotation * target_centre_;
 
+  estimate.covariance += reference_covariance_;
   const Matrix6d origin_from_target = pointFromOriginJacobian(-(rotation * target_centre_));
   estimate.pose_covariance = origin_from_target * estimate.covariance * origin_from_target.transpose();
 }

@@ -58,6 +58,7 @@ void RefinementPolicyOptions::validate() const
   const auto positive = [&](const char* key, double value, const char* unit)
   { require(value > 0.0 && std::isfinite(value), key, value, unit); };
   require(every_n >= 1, "every_n", every_n, "1 or more exposures");
+  require(queue_size >= 1, "queue_size", queue_size, "1 or more exposures");
   positive("drift", drift, "a number > 0 mm");
   positive("drift_rotation", drift_rotation, "a number > 0 rad");
   positive("drift_residual", drift_residual, "a number > 0 px");
@@ -66,11 +67,12 @@ void RefinementPolicyOptions::validate() const
   positive("max_correction_rotation", max_correction_rotation, "a number > 0 rad");
   require(std::isfinite(min_similarity), "min_similarity", min_similarity, "a number");
   require(significance > 0.0 && significance < 1.0, "significance", significance, "a number in (0, 1)");
+  require(tissue_sigma >= 0.0 && std::isfinite(tissue_sigma), "tissue_sigma", tissue_sigma, "a number >= 0 mm");
 }
 
 RigidTransform Refinement::carry(const RigidTransform& tracked_then, const Eigen::Vector3d& target_centre) const
 {
-  return motionAbout(refined * target_centre, targetMotion(tracked, tracked_then, target_centre)) * refined;
+  return motionAbout(refined * target_centre, targetMotion(*tracked, tracked_then, target_centre)) * refined;
 }
 
 RefinementPolicy::RefinementPolicy(const RefinementPolicyOptions& options, const Eigen::Vector3d& target_centre,
@@ -78,6 +80,7 @@ RefinementPolicy::RefinementPolicy(const RefinementPolicyOptions& options, const
   : options_(options), target_centre_(target_centre), request_(std::move(request))
 {
   options_.validate();
+  waiting_.set_capacity(options_.mode == RefinementMode::EVERY_FRAME ? options_.queue_size : 1);
 }
 
 void RefinementPolicy::onExposure(const TrackedExposure& exposure, std::int64_t now)
@@ -88,20 +91,37 @@ void RefinementPolicy::onExposure(const TrackedExposure& exposure, std::int64_t 
     anchor_ = exposure.room_from_patient;
   }
   exposures_since_request_ = std::min(exposures_since_request_ + 1, options_.every_n);
-  if (pending_ || !due(exposure, now))
+  const bool every_frame = options_.mode == RefinementMode::EVERY_FRAME;
+  if ((pending_ && !every_frame) || !due(exposure, now))
   {
     return;
   }
+  skipped_ += waiting_.full() ? 1 : 0;
+  waiting_.push_back(exposure);
+  next(now);
+  if (!every_frame)
+  {
+    waiting_.clear();  // Later exposures are as good.
+  }
+}
+
+void RefinementPolicy::next(std::int64_t now)
+{
+  if (pending_ || waiting_.empty())
+  {
+    return;
+  }
+  const TrackedExposure& exposure = waiting_.front();
   const RefinementRequest request{ next_id_++, exposure.stamp, exposure.room_from_patient };
-  pending_ = Pending{ request.id, now, exposure };
   exposures_since_request_ = 0;
   not_before_ = now + static_cast<std::int64_t>(1e9 * options_.timeout);
   if (!request_(request))
   {
     ++unheard_;
-    pending_.reset();
     return;
   }
+  pending_ = Pending{ request.id, now, exposure };
+  waiting_.pop_front();
   demanded_ = false;
   ++requests_;
 }
@@ -122,8 +142,8 @@ bool RefinementPolicy::due(const TrackedExposure& exposure, std::int64_t now) co
     {
       const Twist drift = targetMotion(*anchor_, exposure.room_from_patient, target_centre_);
       return now >= not_before_ &&
-             (drift.tail<3>().norm() > options_.drift || drift.head<3>().norm() > options_.drift_rotation ||
-              exposure.disagreement > options_.drift_residual);
+             (!exposure.measured || drift.tail<3>().norm() > options_.drift ||
+              drift.head<3>().norm() > options_.drift_rotation || exposure.disagreement > options_.drift_residual);
     }
     case RefinementMode::NEVER:
     case RefinementMode::ON_DEMAND:
@@ -168,7 +188,20 @@ std::optional<Refinement> RefinementPolicy::onReply(const RefinementReply& reply
   ++accepted_;
   anchor_ = reply.room_from_patient;
   not_before_ = 0;
-  return Refinement{ exposure.stamp, exposure.room_from_patient, reply.room_from_patient };
+  const auto tracked = exposure.measured ? std::make_optional(exposure.room_from_patient) : std::nullopt;
+  const Refinement refinement{ exposure.stamp, tracked, reply.room_from_patient, reply.covariance };
+  for (TrackedExposure& waiting : waiting_)
+  {
+    if (!waiting.measured)
+    {
+      waiting.room_from_patient = refinement.refined;
+    }
+    else if (tracked)
+    {
+      waiting.room_from_patient = refinement.carry(waiting.room_from_patient, target_centre_);
+    }
+  }
+  return refinement;
 }
 
 std::string RefinementPolicy::fault(const RefinementReply& reply, const TrackedExposure& exposure) const
@@ -182,6 +215,16 @@ std::string RefinementPolicy::fault(const RefinementReply& reply, const TrackedE
     return "the refined pose, its covariance or its similarity is not finite";
   }
 
+  if (!(reply.similarity >= options_.min_similarity) || !(reply.similarity >= reply.seed_similarity))
+  {
+    return compose("the similarity is ", reply.similarity, ", expected at least ", options_.min_similarity,
+                   " and the seed's ", reply.seed_similarity);
+  }
+  if (!exposure.measured)
+  {
+    return std::string();  // There is nothing to compare it with.
+  }
+
   const Twist correction = targetMotion(exposure.room_from_patient, reply.room_from_patient, target_centre_);
   if (correction.tail<3>().norm() > options_.max_correction ||
       correction.head<3>().norm() > options_.max_correction_rotation)
@@ -190,14 +233,9 @@ std::string RefinementPolicy::fault(const RefinementReply& reply, const TrackedE
                    " rad, expected at most ", options_.max_correction, " mm and ", options_.max_correction_rotation,
                    " rad");
   }
-  if (!(reply.similarity >= options_.min_similarity) || !(reply.similarity >= reply.seed_similarity))
-  {
-    return compose("the similarity is ", reply.similarity, ", expected at least ", options_.min_similarity,
-                   " and the seed's ", reply.seed_similarity);
-  }
-
-  const PoseCovariance covariance = covarianceAt(target_centre_, exposure.room_from_patient, exposure.covariance) +
-                                    covarianceAt(target_centre_, reply.room_from_patient, reply.covariance);
+  PoseCovariance covariance = covarianceAt(target_centre_, exposure.room_from_patient, exposure.covariance) +
+                              covarianceAt(target_centre_, reply.room_from_patient, reply.covariance);
+  covariance.diagonal().head<3>().array() += options_.tissue_sigma * options_.tissue_sigma;
   Eigen::Matrix<double, 6, 1> difference;
   difference << correction.tail<3>(), correction.head<3>();
   const Eigen::LLT<PoseCovariance> cholesky(covariance);
@@ -216,6 +254,7 @@ std::string RefinementPolicy::fault(const RefinementReply& reply, const TrackedE
 
 void RefinementPolicy::reset()
 {
+  waiting_.clear();
   pending_.reset();
   anchor_.reset();
   exposures_since_request_ = 0;

@@ -3,6 +3,8 @@
 #include <cmath>
 #include <stdexcept>
 
+#include <Eigen/LU>
+
 namespace xray_tracking
 {
 TrackModel trackModelFromName(const std::string& name)
@@ -31,6 +33,16 @@ Vector6d Track::warp() const
   Vector6d result;
   result << displacement, linear(0, 0), linear(0, 1), linear(1, 0), linear(1, 1);
   return result;
+}
+
+Track Track::since(const Track& anchor) const
+{
+  Track track = *this;
+  track.centre = anchor.centre + anchor.displacement;
+  track.displacement = displacement - anchor.displacement;
+  track.linear = linear * anchor.linear.inverse();
+  track.covariance = covariance + anchor.covariance;
+  return track;
 }
 
 TrackParameters nearestParameters(TrackModel model, const Vector6d& warp, const Eigen::Matrix2d& moments,

@@ -255,8 +255,16 @@ TEST_F(JumpTest, AndBackIsAnother)
 
 TEST_F(JumpTest, IsConfirmedByARefinement)
 {
+  const std::int64_t jump = stamp;
   gate.update(there());
-  gate.refined(Eigen::Vector3d(0.2, 0.0, 0.0));
+  // The answer about an exposure from before it says nothing of it.
+  EXPECT_FALSE(gate.refined(jump - kInterval, Eigen::Vector3d::Zero(), 0.0));
+  for (int i = 1; i <= options.good_exposures; ++i)
+  {
+    gate.update(there());
+    EXPECT_EQ(gate.reason(), GateReason::JUMP);
+  }
+  EXPECT_FALSE(gate.refined(jump, Eigen::Vector3d(0.2, 0.0, 0.0), 0.0));
   EXPECT_FALSE(gate.open());
   for (int i = 1; i <= options.good_exposures; ++i)
   {
@@ -296,13 +304,24 @@ TEST_F(BeamGateTest, ATargetFoundElsewhereAfterALossIsAJump)
 TEST_F(BeamGateTest, ARefinementMovesTheTargetWithoutAJump)
 {
   openIt();
-  const Eigen::Vector3d correction(1.5, -2.0, 0.0);
-  gate.refined(correction);
+  const Eigen::Vector3d correction(1.0, -2.0, 0.0);
+  EXPECT_FALSE(gate.refined(stamp, correction, 0.01));
   EXPECT_TRUE(gate.open());
   GateExposure exposure = good();
   exposure.displacement += correction - Eigen::Vector3d::UnitX();
   EXPECT_FALSE(gate.update(exposure));
   EXPECT_TRUE(gate.open());
+}
+
+TEST_F(BeamGateTest, ARefinementThatPutsTheTargetOutsideClosesAtOnce)
+{
+  openIt();
+  EXPECT_TRUE(gate.refined(stamp, Eigen::Vector3d(1.5, -2.0, 0.0), 0.0));  // from (1, 0, 0): 3.2 mm
+  EXPECT_EQ(gate.reason(), GateReason::DISPLACED);
+  gate.refined(stamp, Eigen::Vector3d(-1.5, 2.0, 0.0), 0.0);
+  openIt();
+  EXPECT_TRUE(gate.refined(stamp, Eigen::Vector3d::Zero(), 2.0 * options.max_rotation));
+  EXPECT_EQ(gate.reason(), GateReason::DISPLACED);
 }
 
 TEST_F(BeamGateTest, StartsAgainWhenTimeDoes)

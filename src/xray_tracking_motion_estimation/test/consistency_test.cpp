@@ -1,5 +1,7 @@
 #include <cstdio>
 
+#include <yaml-cpp/yaml.h>
+
 #include "scene.h"
 #include "xray_tracking_motion_estimation/consistency_monitor.h"
 
@@ -9,20 +11,26 @@ namespace
 {
 constexpr double kRate = 30.0;  // Hz
 
-/// Tracks of a phantom: 0.1 px each from the tracker and from what it does not know of.
+/// The parameters for rigid targets as users load them. Tracks are disturbed by 0.1 px each from the tracker and from what
+/// it does not know of.
+const YAML::Node& rigidTarget()
+{
+  static const YAML::Node parameters = YAML::LoadFile(RIGID_TARGET_PARAMETERS);
+  return parameters;
+}
+
 MotionEstimationOptions phantomOptions()
 {
   MotionEstimationOptions options;
-  options.floor_sigma = 0.1;
-  options.linear_floor_sigma = 0.002;
-  options.rotation_sigma = 2 * kDegree;
+  options.floor_sigma = rigidTarget()["floor_sigma"].as<double>();
+  options.linear_floor_sigma = rigidTarget()["linear_floor_sigma"].as<double>();
   return options;
 }
 
 ConsistencyOptions phantomConsistency()
 {
   ConsistencyOptions options;
-  options.persistent_sigma = 0.0;
+  options.persistent_sigma = rigidTarget()["consistency"]["persistent_sigma"].as<double>();
   return options;
 }
 

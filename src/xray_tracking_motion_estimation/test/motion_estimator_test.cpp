@@ -286,6 +286,25 @@ TEST(Covariance, OfThePoseCarriesTheUnknownRotationOverTheLeverArm)
             0.0);
 }
 
+// However far apart the views are, and whatever the region's place: then the steps may not come to rest.
+TEST(Consistency, GrossDisagreementIsCalledThat)
+{
+  const Scene scene{ cyberknife(), { 10.0, -15.0, 20.0 } };
+  const MotionEstimator estimator = scene.estimator(MotionEstimationOptions());
+  for (const double apart : { 5.0, 20.0, 50.0, 100.0 })
+  {
+    for (const double beside : { -40.0, 0.0, 40.0 })
+    {
+      auto tracks = scene.exactTracks({ 2.0, -3.0, 1.0 });
+      tracks[0]->track.displacement.x() += apart;
+      tracks[0]->track.centre.x() += beside;
+      const MotionEstimate estimate = estimator.estimate(tracks);
+      EXPECT_EQ(estimate.status, EstimateStatus::INCONSISTENT) << estimate.reason;
+      EXPECT_GT(estimate.disagreement, 2.0);
+    }
+  }
+}
+
 TEST(Consistency, ThreePixelsInTheSharedAxisAreFlagged)
 {
   const Scene scene{ cyberknife(), { 10.0, -15.0, 20.0 } };
@@ -314,5 +333,64 @@ TEST(Consistency, ThreePixelsInTheSharedAxisAreFlagged)
   }
 }
 
+// Each view is wrong by an amount of its own that stays, as where tissue that moved otherwise is seen. Once the pose of
+// one exposure is known from elsewhere, tracks that count from there are right.
+TEST(Anchor, TakesOutWhatEachViewIsWrongBy)
+{
+  const std::vector<Eigen::Vector2d> wrong = { { 0.8, -0.5 }, { -0.7, 0.4 } };
+  for (const TrackModel model : { TrackModel::TRANSLATION, TrackModel::AFFINE })
+  {
+    const Scene scene{ cyberknife(), { 10.0, -5.0, 8.0 } };
+    const Eigen::Vector3d then(4.0, -3.0, 5.0);
+    const Eigen::Vector3d now(-2.0, 6.0, 1.0);
+    auto anchors = scene.exactTracks(then, model);
+    auto tracks = scene.exactTracks(now, model);
+    auto anchored = tracks;
+    for (std::size_t i = 0; i < tracks.size(); ++i)
+    {
+      anchors[i]->track.displacement += wrong[i];
+      tracks[i]->track.displacement += wrong[i];
+      anchored[i] = ViewMeasurement{ moved(initialPose(), then), tracks[i]->track.since(anchors[i]->track) };
+    }
+    MotionEstimator estimator = scene.estimator(MotionEstimationOptions());
+    const MotionEstimate plain = estimator.estimate(tracks);
+    EXPECT_GT((plain.translation - now).norm(), 0.1);
+    EXPECT_GT(plain.disagreement, 0.4);
+
+    const double sigma = 0.05;
+    estimator.setReference(moved(initialPose(), then), sigma * sigma * Matrix6d::Identity());
+    const MotionEstimate estimate = estimator.estimate(anchored);
+    // What is tracked is 0.3 mm beside the target's centre: perspective makes 1e-4 of the motion of that.
+    EXPECT_LT((estimate.room_from_patient.translation() - moved(initialPose(), now).translation()).norm(), 2e-3);
+    EXPECT_LT(estimate.disagreement, 2e-3);
+
+    // The anchor's errors are in the covariance: of the tracks, and of the pose that it was given.
+    estimator.setReference(moved(initialPose(), then), Matrix6d::Zero());
+    const MotionEstimate certain = estimator.estimate(anchored);
+    EXPECT_TRUE((estimate.covariance - certain.covariance).isApprox(sigma * sigma * Matrix6d::Identity(), 1e-6));
+    EXPECT_GT(certain.covariance.diagonal().head<3>().sum(), plain.covariance.diagonal().head<3>().sum());
+  }
+}
+
+// A point of the region goes the same way at once and in two steps.
+TEST(Track, SinceIsTheWarpThatIsLeft)
+{
+  Random random;
+  const auto map = [](const Track& track, const Eigen::Vector2d& x)
+  { return Eigen::Vector2d(track.centre + track.displacement + track.linear * (x - track.centre)); };
+  for (int trial = 0; trial < 20; ++trial)
+  {
+    Track anchor;
+    anchor.centre = { 250.0, 260.0 };
+    anchor.displacement = 10.0 * random.normals(2);
+    anchor.linear += 0.05 * Eigen::Matrix2d(Eigen::Map<const Eigen::Matrix2d>(random.normals(4).eval().data()));
+    Track track = anchor;
+    track.displacement = 10.0 * random.normals(2);
+    track.linear = Eigen::Matrix2d::Identity() +
+                   0.05 * Eigen::Matrix2d(Eigen::Map<const Eigen::Matrix2d>(random.normals(4).eval().data()));
+    const Eigen::Vector2d point = anchor.centre + 40.0 * random.normals(2);
+    EXPECT_LT((map(track.since(anchor), map(anchor, point)) - map(track, point)).norm(), 1e-9);
+  }
+}
 }  // namespace
 }  // namespace xray_tracking

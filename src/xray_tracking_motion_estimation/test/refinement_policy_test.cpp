@@ -250,10 +250,79 @@ TEST_F(RefinementTest, RefusesWhatIsNoBetterMatch)
   expectRefused("similarity", [](RefinementReply& reply) { reply.similarity = 0.84; });
 }
 
+TEST_F(RefinementTest, AsksForAllInOrderAsFarAsTheQueueReaches)
+{
+  options.mode = RefinementMode::EVERY_FRAME;
+  options.queue_size = 3;
+  RefinementPolicy policy = makePolicy();
+  std::vector<std::int64_t> stamps;
+  for (int i = 0; i < 6; ++i)
+  {
+    const TrackedExposure exposure = exposureAt(moved(0.1 * i));
+    stamps.push_back(exposure.stamp);
+    policy.onExposure(exposure, now);
+  }
+  EXPECT_EQ(policy.skipped(), 2u);
+  for (const std::size_t expected : { 0u, 3u, 4u, 5u })
+  {
+    ASSERT_TRUE(policy.pending());
+    EXPECT_EQ(requests.back().stamp, stamps[expected]);
+    policy.onReply(answer(moved(0.1 * static_cast<double>(expected))));
+    policy.next(now);
+  }
+  EXPECT_FALSE(policy.pending());
+}
+
+TEST_F(RefinementTest, WhatWaitsStartsFromWhereTheRefinementPutsIt)
+{
+  options.mode = RefinementMode::EVERY_FRAME;
+  options.queue_size = 2;
+  RefinementPolicy policy = makePolicy();
+  policy.onExposure(exposureAt(moved(1.0)), now);
+  policy.onExposure(exposureAt(moved(2.0)), now);
+  ASSERT_TRUE(policy.onReply(answer(moved(1.3, 0.2))));
+  policy.next(now);
+  ASSERT_EQ(requests.size(), 2u);
+  EXPECT_TRUE(requests[1].room_from_patient.isApprox(tracePose(moved(2.3, 0.2)), 1e-12));
+}
+
+// Where the tracks say nothing there is nothing to contradict; what the registration says of itself has to do.
+TEST_F(RefinementTest, AnExposureWithoutAPoseIsRefinedFromTheLastOne)
+{
+  options.mode = RefinementMode::ON_DRIFT;
+  RefinementPolicy policy = makePolicy();
+  TrackedExposure exposure = exposureAt(moved(0.5));
+  exposure.measured = false;
+  policy.onExposure(exposure, now);
+  ASSERT_EQ(requests.size(), 1u);
+  EXPECT_TRUE(requests[0].room_from_patient.isApprox(tracePose(moved(0.5)), 1e-12));
+  const auto refinement = policy.onReply(answer(moved(9.0)));
+  ASSERT_TRUE(refinement) << policy.lastRefusal();
+  EXPECT_FALSE(refinement->tracked);
+  EXPECT_TRUE(refinement->refined.isApprox(tracePose(moved(9.0)), 1e-12));
+
+  exposure = exposureAt(moved(9.0));
+  exposure.measured = false;
+  policy.onExposure(exposure, now);
+  RefinementReply reply = answer(moved(9.1));
+  reply.success = false;
+  reply.text = "flat optimum";
+  EXPECT_FALSE(policy.onReply(reply));
+  EXPECT_EQ(policy.lastRefusal(), "flat optimum");
+}
+
 // Combined deviations: 0.22 mm and 0.0176 rad. chi-square of 6 degrees of freedom is 22.46 at 0.001, so that a single
 // axis may be off by 4.74 of them: 1.06 mm, 0.083 rad.
 TEST_F(RefinementTest, RefusesWhatContradictsTheTracks)
 {
+  // With tissue_sigma 4.74 * sqrt(0.05 + 1) = 4.86 mm.
+  expectRefused("contradicts", [](RefinementReply& reply) { reply.room_from_patient = tracePose(moved(5.9)); });
+  {
+    RefinementPolicy policy = makePolicy();
+    policy.onExposure(exposureAt(moved(1.0)), now);
+    EXPECT_TRUE(policy.onReply(answer(moved(5.8)))) << policy.lastRefusal();
+  }
+  options.tissue_sigma = 0.0;
   expectRefused("contradicts", [](RefinementReply& reply) { reply.room_from_patient = tracePose(moved(2.08)); });
   options.mode = RefinementMode::EVERY_FRAME;
   RefinementPolicy policy = makePolicy();
@@ -287,14 +356,15 @@ TEST(Refinement, IsCarriedForwardByTheMotionSince)
   for (const bool rotates : { false, true })
   {
     const double then = 5.0;
-    const Refinement refinement{ 0, poseOf(wrong_reference, then, rotates), poseOf(true_reference, then, rotates) };
+    const Refinement refinement{ 0, poseOf(wrong_reference, then, rotates), poseOf(true_reference, then, rotates),
+                                 PoseCovariance::Zero() };
     double worst_of_multiplied = 0.0;
     for (double time = 0.0; time < 20.0; time += 0.1)
     {
       const RigidTransform tracked = poseOf(wrong_reference, time, rotates);
       const RigidTransform truth = poseOf(true_reference, time, rotates);
       EXPECT_TRUE(refinement.carry(tracked, traceTarget()).isApprox(truth, 1e-12)) << time;
-      const RigidTransform multiplied = refinement.refined * refinement.tracked.inverse() * tracked;
+      const RigidTransform multiplied = refinement.refined * refinement.tracked->inverse() * tracked;
       worst_of_multiplied = std::max(worst_of_multiplied, (multiplied * traceTarget() - truth * traceTarget()).norm());
     }
     // The target moves 10 mm, the correction turns by 2 degrees.
@@ -307,7 +377,8 @@ TEST(Refinement, ReanchorsAllEarlierExposures)
   PoseHistory history(10);
   history.add(1, tracePose(moved(0.0)));
   history.add(2, tracePose(moved(4.0)));
-  const Refinement refinement{ 2, tracePose(moved(4.0)), tracePose(moved(4.5, 0.2, 0.0, 0.02)) };
+  const Refinement refinement{ 2, tracePose(moved(4.0)), tracePose(moved(4.5, 0.2, 0.0, 0.02)),
+                               PoseCovariance::Zero() };
   history.transform([&](const RigidTransform& pose) { return refinement.carry(pose, traceTarget()); });
   EXPECT_TRUE(history.at(2)->isApprox(refinement.refined, 1e-12));
   EXPECT_TRUE(history.at(1)->isApprox(tracePose(moved(0.5, 0.2, 0.0, 0.02)), 1e-12));
@@ -330,6 +401,8 @@ TEST(RefinementPolicyOptions, AreChecked)
     }
   };
   EXPECT_TRUE(refused([](auto& o) { o.every_n = 0; }, "every_n"));
+  EXPECT_TRUE(refused([](auto& o) { o.queue_size = 0; }, "queue_size"));
+  EXPECT_TRUE(refused([](auto& o) { o.tissue_sigma = -1.0; }, "tissue_sigma"));
   EXPECT_TRUE(refused([](auto& o) { o.drift = 0.0; }, "drift"));
   EXPECT_TRUE(refused([](auto& o) { o.drift_rotation = -1.0; }, "drift_rotation"));
   EXPECT_TRUE(refused([](auto& o) { o.drift_residual = 0.0; }, "drift_residual"));

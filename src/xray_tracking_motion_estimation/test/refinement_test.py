@@ -10,12 +10,12 @@ import rospy
 import rostest
 from geometry_msgs.msg import Point, Quaternion
 from std_srvs.srv import Trigger
-from xray_tracking_msgs.msg import PatientMotion, RefinementResult
+from xray_tracking_msgs.msg import PatientMotion, RefinementResult, TrackedRegion
 from xray_tracking_msgs.srv import RefinePose, RefinePoseResponse
 
 sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
-from estimation_graph import (TIMEOUT, LiveTestCase, rotation_about, rotation_from_xyzw, value,  # noqa: E402
-                              xyzw_from_rotation)
+from estimation_graph import (NANOSECONDS, TIMEOUT, LiveTestCase, rotation_about,  # noqa: E402
+                              rotation_from_xyzw, value, xyzw_from_rotation)
 
 # m; a correction of 1 mm is read off at other depths than the tracks were made for: 4e-4 of 10 mm of motion.
 TOLERANCE = 2e-5
@@ -66,12 +66,14 @@ class RefinementTest(LiveTestCase):
     def demand(self):
         self.assertTrue(self.demand_service().success)
 
-    def move(self):
+    def move(self, alter=lambda regions: None, state=PatientMotion.OK):
         """An exposure 0.2 mm further on. Returns its motion [mm], answer and pose."""
         RefinementTest.travel += 1
         motion = np.array([0.0, 0.2, 0.1]) * self.travel
-        answer, _ = self.live(motion)
-        self.assertEqual(answer.state, PatientMotion.OK, answer.reason)
+        answer, _ = self.live(motion, alter)
+        self.assertEqual(answer.state, state, answer.reason)
+        if state != PatientMotion.OK:
+            return motion, answer, None
         stamp = answer.header.stamp.to_nsec()
         self.graph.wait_for(lambda: stamp in self.graph.poses, 'pose')
         return motion, answer, self.graph.poses[stamp][0].pose.pose
@@ -185,6 +187,74 @@ class RefinementTest(LiveTestCase):
         self.demand()
         self.move()
         self.wait_until_counted('refinements accepted', accepted + 1)
+
+    def disagree(self, pixels):
+        """Moves the first view's region along its columns, which is the axis that both views see."""
+        def alter(regions):
+            regions[0].displacement_x += pixels
+        return alter
+
+    def test_5_each_view_is_anchored(self):
+        """What a view is wrong by, if it stays, is out of the tracks after a refinement, and the views agree."""
+        truth, alter = self.offset()[0], self.disagree(1.5)
+        motion, answer, pose = self.move(alter)
+        self.assertGreater(answer.disagreement, 0.3)
+        place, rotation = self.target_of(pose)
+        self.stand_in.shift = truth - (place - (self.graph.target + motion) / 1000.0)
+        self.assertGreater(np.linalg.norm(self.stand_in.shift), 1e-4)
+        accepted = self.count('refinements accepted')
+        self.demand()
+        self.move(alter)
+        self.wait_until_counted('refinements accepted', accepted + 1)
+        self.stand_in.shift = np.zeros(3)
+        for _ in range(5):
+            motion, answer, pose = self.move(alter)
+            self.assertLess(answer.disagreement, 0.01)
+            np.testing.assert_allclose(self.target_of(pose)[0] - (self.graph.target + motion) / 1000.0, truth, rtol=0,
+                                       atol=TOLERANCE)
+
+    def test_6_an_exposure_without_a_pose(self):
+        """The views contradict each other until the registration says where the target is."""
+        truth, alter = self.offset()[0], self.disagree(20.0)
+        self.move()
+        accepted = self.count('refinements accepted')
+        _, answer, _ = self.move(alter, PatientMotion.INCONSISTENT)
+        self.demand()
+        _, answer, _ = self.move(alter, PatientMotion.INCONSISTENT)
+        # Started from the last pose, which the target is 0.2 mm a step away from.
+        self.stand_in.shift = np.zeros(3)
+        self.wait_until_counted('refinements accepted', accepted + 1)
+        _, answer, _ = self.move(alter)
+        self.assertLess(answer.disagreement, 0.01)
+        # Back on the right place, the track contradicts what it was anchored to.
+        self.move(state=PatientMotion.INCONSISTENT)
+
+    def test_7_before_anything_is_measured(self):
+        """Templates of which nothing is known yet are those of the initial pose, whatever was refined before."""
+        start = rospy.Time.now().to_nsec() - 5000 * NANOSECONDS  # a run that begins anew
+
+        def lost(regions):
+            for region in regions:
+                region.state = TrackedRegion.LOST
+
+        def expose(index, motion, alter=lambda regions: None):
+            stamp = start + index * NANOSECONDS // 10
+            self.send(stamp, motion, alter)
+            self.graph.wait_for(lambda: stamp in self.graph.motions, 'answer to exposure %d' % index)
+            return stamp, self.graph.motions[stamp][0].state
+
+        self.assertEqual(expose(0, np.zeros(3), lost)[1], PatientMotion.LOST)
+        accepted = self.count('refinements accepted')
+        self.stand_in.shift = np.array([1e-3, 0.0, 0.0])
+        self.demand()
+        expose(1, np.zeros(3), lost)
+        self.wait_until_counted('refinements accepted', accepted + 1)
+        motion = np.array([0.5, -0.4, 0.3])
+        stamp, state = expose(2, motion)
+        self.assertEqual(state, PatientMotion.OK)
+        self.graph.wait_for(lambda: stamp in self.graph.poses, 'pose')
+        place, _ = self.target_of(self.graph.poses[stamp][0].pose.pose)
+        np.testing.assert_allclose(place, (self.graph.target + motion) / 1000.0, rtol=0, atol=TOLERANCE)
 
 
 if __name__ == '__main__':

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <iterator>
-#include <utility>
 
 namespace xray_tracking
 {
@@ -12,10 +11,10 @@ namespace
 const ros::Duration kBackwardJump(1.0);
 }  // namespace
 
-ExposureStore::ExposureStore(std::vector<std::string> detectors, std::size_t capacity, bool with_seed)
+ExposureStore::ExposureStore(std::vector<std::string> detectors, std::size_t capacity, bool in_turn)
   : detectors_(std::move(detectors)),
     capacity_(capacity),
-    with_seed_(with_seed),
+    in_turn_(in_turn),
     last_images_(detectors_.size()),
     last_camera_infos_(detectors_.size())
 {
@@ -33,7 +32,7 @@ StoredExposure& ExposureStore::at(const ros::Time& stamp)
   exposure.images.resize(detectors_.size());
   exposure.camera_infos.resize(detectors_.size());
   // Too late for an answer, but somebody may ask for it.
-  exposure.answered = last_answered_ && stamp <= *last_answered_;
+  exposure.answered = !in_turn_ || (last_answered_ && stamp <= *last_answered_);
   if (exposures_.size() > capacity_)
   {
     const auto oldest = entry == exposures_.begin() ? std::next(entry) : exposures_.begin();
@@ -73,16 +72,6 @@ void ExposureStore::addCameraInfo(std::size_t detector, const sensor_msgs::Camer
   at(camera_info->header.stamp).camera_infos[detector] = camera_info;
 }
 
-void ExposureStore::addMotion(const xray_tracking_msgs::PatientMotionConstPtr& motion)
-{
-  at(motion->header.stamp).motion = motion;
-}
-
-void ExposureStore::addPose(const geometry_msgs::PoseWithCovarianceStampedConstPtr& pose)
-{
-  at(pose->header.stamp).pose = pose;
-}
-
 std::string ExposureStore::missingView(const StoredExposure& exposure) const
 {
   for (std::size_t i = 0; i < detectors_.size(); ++i)
@@ -99,28 +88,11 @@ std::string ExposureStore::missingView(const StoredExposure& exposure) const
   return "";
 }
 
-std::string ExposureStore::missing(const StoredExposure& exposure) const
-{
-  std::string text = missingView(exposure);
-  if (text.empty() && with_seed_)
-  {
-    if (!exposure.motion)
-    {
-      text = "patient_motion has not arrived";
-    }
-    else if (exposure.motion->state == xray_tracking_msgs::PatientMotion::OK && !exposure.pose)
-    {
-      text = "patient_pose has not arrived";
-    }
-  }
-  return text;
-}
-
 ExposureStore::Due ExposureStore::handOut(Exposures::iterator entry, const std::string& missing)
 {
   entry->second.answered = true;
   last_answered_ = last_answered_ ? std::max(*last_answered_, entry->first) : entry->first;
-  return { entry->first, entry->second, missing, std::exchange(restarted_, false) };
+  return { entry->first, entry->second, missing };
 }
 
 std::optional<ExposureStore::Due> ExposureStore::next()
@@ -139,9 +111,9 @@ std::optional<ExposureStore::Due> ExposureStore::next()
       continue;
     }
     oldest = oldest == exposures_.end() ? entry : oldest;
-    if (missing(entry->second).empty())
+    if (missingView(entry->second).empty())
     {
-      return handOut(oldest, missing(oldest->second));
+      return handOut(oldest, missingView(oldest->second));
     }
   }
   return std::nullopt;

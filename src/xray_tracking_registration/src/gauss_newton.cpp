@@ -14,15 +14,27 @@ constexpr double kHuber = 2.5;              // in standard deviations
 constexpr double kSmallTranslation = 0.01;  // a step that ends the iterations [mm]
 constexpr double kSmallRotation = 0.01 * M_PI / 180.0;
 constexpr int kMaxRejections = 2;
+constexpr double kMinGain = 0.05;  // of a model that is not yet like the image
 
-/// Huber's weights for a standard deviation that follows from the median.
-Eigen::VectorXf huberWeights(const Eigen::VectorXf& residual)
+/// Inverse variances of the pixels' differences, with Huber's weights; the variance follows from the median. 0 for what
+/// does not count.
+Eigen::VectorXf huberWeights(const Eigen::VectorXf& residual, const Eigen::VectorXf& valid)
 {
-  std::vector<float> sizes(residual.size());
-  Eigen::VectorXf::Map(sizes.data(), residual.size()) = residual.cwiseAbs();
+  std::vector<float> sizes;
+  sizes.reserve(residual.size());
+  for (Eigen::Index n = 0; n < residual.size(); ++n)
+  {
+    if (valid[n] > 0.0f)
+    {
+      sizes.push_back(std::abs(residual[n]));
+    }
+  }
   std::nth_element(sizes.begin(), sizes.begin() + sizes.size() / 2, sizes.end());
   const auto limit = static_cast<float>(kHuber * 1.4826 * sizes[sizes.size() / 2]);
-  return residual.unaryExpr([limit](float r) { return std::abs(r) > limit ? limit / std::abs(r) : 1.0f; });
+  const Eigen::VectorXf weights = valid.binaryExpr(
+      residual, [limit](float counts, float r) { return std::abs(r) > limit ? counts * limit / std::abs(r) : counts; });
+  const float variance = weights.dot(residual.cwiseAbs2()) / weights.sum();
+  return variance > 0.0f ? (weights / variance).eval() : weights;
 }
 
 bool isSmall(const Eigen::VectorXd& step)
@@ -65,9 +77,14 @@ Linearisation linearise(const std::vector<ViewLevel>& views, const Bodies& bodie
   tbb::parallel_for(std::size_t{ 0 }, views.size(),
                     [&](std::size_t v)
                     {
-                      views[v].model(bodies, poses, moving, at.models[v]);
-                      at.weights[v] = huberWeights(views[v].measured() - at.models[v].image);
-                      at.similarity[v] = views[v].measured().dot(at.models[v].image);
+                      ViewModel& model = at.models[v];
+                      views[v].model(bodies, poses, moving, model);
+                      at.similarity[v] = views[v].measured().dot(model.image);
+                      // The model's share in the measured image: what is left is noise.
+                      const auto gain = static_cast<float>(std::max(at.similarity[v], kMinGain));
+                      model.image *= gain;
+                      model.derivatives *= gain;
+                      at.weights[v] = huberWeights(views[v].measured() - model.image, views[v].valid());
                     });
   return at;
 }
@@ -86,6 +103,23 @@ NormalEquations normalEquations(const std::vector<ViewLevel>& views, const Linea
   return equations;
 }
 
+Twist RestPrior::deviation(const PosePair& poses, const Eigen::Vector3d& centre) const
+{
+  return twistAbout(poses.target * centre, poses.rest * (poses.target * target_from_rest).inverse());
+}
+
+void addPrior(const RestPrior& prior, const PosePair& poses, const Eigen::Vector3d& centre, NormalEquations& equations)
+{
+  const Twist pull = -prior.information.cwiseProduct(prior.deviation(poses, centre));
+  equations.gradient.tail<6>() += pull;
+  equations.gradient.head<6>() -= pull;
+  const Eigen::Matrix<double, 6, 6> information = prior.information.asDiagonal();
+  equations.information.topLeftCorner<6, 6>() += information;
+  equations.information.bottomRightCorner<6, 6>() += information;
+  equations.information.topRightCorner<6, 6>() -= information;
+  equations.information.bottomLeftCorner<6, 6>() -= information;
+}
+
 PosePair moved(const PosePair& poses, const Eigen::VectorXd& step, const Eigen::Vector3d& centre, Moving moving)
 {
   const Eigen::Vector3d room_centre = poses.target * centre;
@@ -99,14 +133,23 @@ PosePair moved(const PosePair& poses, const Eigen::VectorXd& step, const Eigen::
 }
 
 Linearisation gaussNewton(const std::vector<ViewLevel>& views, const Bodies& bodies, Moving moving,
-                          const Descent& descent, RunControl& control, PosePair& poses)
+                          const RestPrior& prior, const Descent& descent, RunControl& control, PosePair& poses)
 {
+  const auto priorCost = [&](const PosePair& at)
+  {
+    const Twist deviation = prior.deviation(at, bodies.centre);
+    return moving == Moving::BOTH ? deviation.dot(prior.information.cwiseProduct(deviation)) : 0.0;
+  };
   Linearisation best = linearise(views, bodies, poses, moving);
   double damping = 1e-3;
   for (int iteration = 0; iteration < descent.max_iterations; ++iteration)
   {
-    const NormalEquations equations = normalEquations(views, best);
-    const double cost = best.cost(views, best.weights);
+    NormalEquations equations = normalEquations(views, best);
+    if (moving == Moving::BOTH)
+    {
+      addPrior(prior, poses, bodies.centre, equations);
+    }
+    const double cost = best.cost(views, best.weights) + priorCost(poses);
     bool improved = false;
     bool small = false;
     for (int rejections = 0; !improved && !small && rejections <= kMaxRejections; ++rejections)
@@ -127,7 +170,7 @@ Linearisation gaussNewton(const std::vector<ViewLevel>& views, const Bodies& bod
           return best;
         }
         Linearisation there = linearise(views, bodies, trial, moving);
-        const double new_cost = there.cost(views, best.weights);
+        const double new_cost = there.cost(views, best.weights) + priorCost(trial);
         improved = new_cost < cost;
         small = small || (improved && cost - new_cost < descent.min_gain * cost);
         if (improved)

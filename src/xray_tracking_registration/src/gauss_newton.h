@@ -7,16 +7,27 @@
 
 namespace xray_tracking
 {
-/// Least squares of the normalised images of all views, linearised at a pose.
+/// Maximum likelihood of the normalised images of all views, linearised at a pose: what the model, at its best scale,
+/// leaves over is noise, whose variance in each view follows from the differences.
 struct Linearisation
 {
-  std::vector<ViewModel> models;         ///< one a view
-  std::vector<Eigen::VectorXf> weights;  ///< Huber's, one a pixel
+  std::vector<ViewModel> models;         ///< one a view, times the correlation coefficient
+  std::vector<Eigen::VectorXf> weights;  ///< inverse variances with Huber's weights, one a pixel
   std::vector<double> similarity;        ///< correlation coefficient of every view
 
   double meanSimilarity() const;
   /// Weighted sum of squared differences, with other weights than its own if need be.
   double cost(const std::vector<ViewLevel>& views, const std::vector<Eigen::VectorXf>& by) const;
+};
+
+/// What is believed of the rest's pose relative to the target's before the images are seen.
+struct RestPrior
+{
+  RigidTransform target_from_rest = RigidTransform::Identity();
+  Twist information = Twist::Zero();  ///< inverse variances of the twist's components [1 / rad^2, 1 / mm^2]
+
+  /// Twist of the rest away from where the prior has it, in the room about the target's centre.
+  Twist deviation(const PosePair& poses, const Eigen::Vector3d& centre) const;
 };
 
 /// Renders all views at a pose.
@@ -30,6 +41,8 @@ struct NormalEquations
   Eigen::VectorXd gradient;
 };
 NormalEquations normalEquations(const std::vector<ViewLevel>& views, const Linearisation& at);
+/// Adds the prior's to those of 12 unknowns.
+void addPrior(const RestPrior& prior, const PosePair& poses, const Eigen::Vector3d& centre, NormalEquations& equations);
 
 /// Moves both bodies by a step of the unknowns.
 PosePair moved(const PosePair& poses, const Eigen::VectorXd& step, const Eigen::Vector3d& centre, Moving moving);
@@ -43,5 +56,5 @@ struct Descent
 
 /// Levenberg-Marquardt from `poses`, which holds the best poses afterwards. @return the linearisation there
 Linearisation gaussNewton(const std::vector<ViewLevel>& views, const Bodies& bodies, Moving moving,
-                          const Descent& descent, RunControl& control, PosePair& poses);
+                          const RestPrior& prior, const Descent& descent, RunControl& control, PosePair& poses);
 }  // namespace xray_tracking

@@ -11,21 +11,6 @@ namespace xray_tracking
 {
 namespace
 {
-/// Brings to mean 0 and norm 1; 0 if there is nothing but rounding. @return the norm
-float normalise(Eigen::VectorXf& image)
-{
-  const float mean = image.mean();
-  image.array() -= mean;
-  const float norm = image.norm();
-  if (!(norm > 1e-6f * std::sqrt(static_cast<float>(image.size()))))
-  {
-    image.setZero();
-    return 0.0f;
-  }
-  image /= norm;
-  return norm;
-}
-
 Eigen::VectorXf flattened(const cv::Mat& image)
 {
   Eigen::VectorXf values(image.total());
@@ -38,7 +23,7 @@ Eigen::VectorXf flattened(const cv::Mat& image)
 }  // namespace
 
 ViewLevel::ViewLevel(const ProjectionGeometry& geometry, const cv::Mat& attenuation, const cv::Rect& region,
-                     const Resolution& resolution)
+                     const Resolution& resolution, const std::vector<PlacedEnds>& ends)
   : geometry_(&geometry)
 {
   const int bin = std::max(1, static_cast<int>(std::lround(resolution.bin_mm / geometry.pixelPitch().mean())));
@@ -64,6 +49,7 @@ ViewLevel::ViewLevel(const ProjectionGeometry& geometry, const cv::Mat& attenuat
   cv::Mat binned;
   cv::resize(attenuation(cv::Rect(bordered.x * bin, bordered.y * bin, bordered.width * bin, bordered.height * bin)),
              binned, bordered.size(), 0.0, 0.0, cv::INTER_AREA);
+  leaveOut(ends);
   measured_image_ = highPassed(binned).clone();
   measured_ = flattened(measured_image_);
   if (normalise(measured_) == 0.0f)
@@ -72,23 +58,80 @@ ViewLevel::ViewLevel(const ProjectionGeometry& geometry, const cv::Mat& attenuat
   }
 }
 
+void ViewLevel::leaveOut(const std::vector<PlacedEnds>& ends)
+{
+  cv::Mat inside(grid_.size.y(), grid_.size.x(), CV_32FC1, 1.0f);
+  for (const PlacedEnds& placed : ends)
+  {
+    const RigidTransform ct_from_room = placed.room_from_ct.inverse();
+    for (int row = 0; row < inside.rows; ++row)
+    {
+      for (int column = 0; column < inside.cols; ++column)
+      {
+        const Ray ray = geometry_->backProject(grid_.first + Eigen::Vector2d(column, row).cwiseProduct(grid_.step));
+        if (placed.ends.cut({ ct_from_room * ray.source, ct_from_room.linear() * ray.direction }))
+        {
+          inside.at<float>(row, column) = 0.0f;
+        }
+      }
+    }
+  }
+  // The pose is not the final one, and a bin's other rays are to be inside too.
+  cv::erode(inside, inside, cv::Mat(), cv::Point(-1, -1), 2, cv::BORDER_REFLECT);
+  valid_ = flattened(inside(cv::Rect(border_, border_, size_.width, size_.height)));
+  if (valid_.mean() < 0.5f)
+  {
+    throw std::invalid_argument("view " + geometry_->name() + ": the CT ends inside the region to compare, " +
+                                std::to_string(static_cast<int>(100.0f * valid_.mean())) +
+                                " % of it are left: expected 50 % or more");
+  }
+  if (cv::countNonZero(inside) < static_cast<int>(inside.total()))
+  {
+    inside_ct_ = inside;
+  }
+}
+
 cv::Mat ViewLevel::highPassed(const cv::Mat& image) const
 {
-  cv::Mat smooth;
-  cv::GaussianBlur(image, smooth, cv::Size(), sigma_, sigma_, cv::BORDER_REFLECT);
   const cv::Rect inside(border_, border_, size_.width, size_.height);
-  return image(inside) - smooth(inside);
+  const auto blurred = [&](const cv::Mat& sharp)
+  {
+    cv::Mat smooth;
+    cv::GaussianBlur(sharp, smooth, cv::Size(), sigma_, sigma_, cv::BORDER_REFLECT);
+    return cv::Mat(smooth(inside));
+  };
+  if (inside_ct_.empty())
+  {
+    return image(inside) - blurred(image);
+  }
+  // The local mean of what counts alone.
+  cv::Mat counts;
+  cv::merge(std::vector<cv::Mat>(image.channels(), inside_ct_), counts);
+  cv::Mat shares = blurred(counts);
+  cv::max(shares, 1e-3, shares);
+  return (image(inside) - blurred(image.mul(counts)).mul(1.0 / shares)).mul(counts(inside));
+}
+
+float ViewLevel::normalise(Eigen::VectorXf& image) const
+{
+  const float mean = image.dot(valid_) / valid_.sum();
+  image = (image.array() - mean) * valid_.array();
+  const float norm = image.norm();
+  if (!(norm > 1e-6f * std::sqrt(static_cast<float>(image.size()))))
+  {
+    image.setZero();
+    return 0.0f;
+  }
+  image /= norm;
+  return norm;
 }
 
 void ViewLevel::modelImage(const Bodies& bodies, const PosePair& poses, cv::Mat& image) const
 {
   bodies.target->render(*geometry_, grid_, poses.target, poses.target * bodies.centre, image);
-  if (bodies.rest)
-  {
-    cv::Mat rest;
-    bodies.rest->render(*geometry_, grid_, poses.rest, poses.target * bodies.centre, rest);
-    image += rest;
-  }
+  cv::Mat rest;
+  bodies.rest->render(*geometry_, grid_, poses.rest, poses.target * bodies.centre, rest);
+  image += rest;
   image = highPassed(image);
 }
 
@@ -98,22 +141,19 @@ void ViewLevel::model(const Bodies& bodies, const PosePair& poses, Moving moving
   std::array<cv::Mat, 2> derivatives;
   const Eigen::Vector3d centre = poses.target * bodies.centre;
   bodies.target->renderWithDerivatives(*geometry_, grid_, poses.target, centre, image, derivatives[0]);
-  if (bodies.rest)
+  cv::Mat rest;
+  if (moving != Moving::TARGET)
   {
-    cv::Mat rest;
-    if (moving != Moving::TARGET)
-    {
-      bodies.rest->renderWithDerivatives(*geometry_, grid_, poses.rest, centre, rest, derivatives[1]);
-    }
-    else
-    {
-      bodies.rest->render(*geometry_, grid_, poses.rest, centre, rest);
-    }
-    image += rest;
-    if (moving == Moving::TOGETHER)
-    {
-      derivatives[0] += derivatives[1];
-    }
+    bodies.rest->renderWithDerivatives(*geometry_, grid_, poses.rest, centre, rest, derivatives[1]);
+  }
+  else
+  {
+    bodies.rest->render(*geometry_, grid_, poses.rest, centre, rest);
+  }
+  image += rest;
+  if (moving == Moving::TOGETHER)
+  {
+    derivatives[0] += derivatives[1];
   }
   const int twists = moving == Moving::BOTH ? 2 : 1;
   model.image = flattened(highPassed(image));
@@ -139,7 +179,7 @@ void ViewLevel::model(const Bodies& bodies, const PosePair& poses, Moving moving
   for (int n = 0; n < model.derivatives.cols(); ++n)
   {
     auto column = model.derivatives.col(n);
-    column.array() -= column.mean();
+    column.array() -= column.dot(valid_) / valid_.sum() * valid_.array();
     column = (column - model.image * model.image.dot(column)) / norm;
   }
 }

@@ -5,8 +5,8 @@
 #include <Eigen/Core>
 #include <opencv2/core.hpp>
 
+#include "bodies.h"
 #include "xray_tracking_core/projection/pixel_grid.h"
-#include "xray_tracking_registration/body_renderer.h"
 
 namespace xray_tracking
 {
@@ -32,14 +32,6 @@ struct Resolution
   double highpass_mm;  ///< standard deviation of the Gaussian that is taken away
 };
 
-/// The two bodies' renderers; the rest's may be missing.
-struct Bodies
-{
-  std::unique_ptr<const BodyRenderer> target;
-  std::unique_ptr<const BodyRenderer> rest;
-  Eigen::Vector3d centre;  ///< of the target, patient frame [mm]
-};
-
 /// What one view's model image says of a pose: normalised image and its derivatives by the unknowns.
 struct ViewModel
 {
@@ -55,14 +47,18 @@ public:
 
   /// @param attenuation whole image
   /// @param region pixels to compare [px]
-  /// @throws std::invalid_argument naming the view: region outside the image or too small, constant image
+  /// @param ends of the CT: what lies behind them does not count
+  /// @throws std::invalid_argument naming the view: region outside the image or too small, constant image, a CT that
+  ///         ends before half of the region is seen
   ViewLevel(const ProjectionGeometry& geometry, const cv::Mat& attenuation, const cv::Rect& region,
-            const Resolution& resolution);
+            const Resolution& resolution, const std::vector<PlacedEnds>& ends = {});
 
   const ProjectionGeometry& geometry() const { return *geometry_; }
   /// Measured image, high-passed, mean 0, norm 1; row by row.
   const Eigen::VectorXf& measured() const { return measured_; }
   const cv::Size& size() const { return size_; }
+  /// 1 for pixels that count, 0 where the CT ends; row by row.
+  const Eigen::VectorXf& valid() const { return valid_; }
 
   /// Model of the poses with its derivatives. A model without contrast has image 0.
   void model(const Bodies& bodies, const PosePair& poses, Moving moving, ViewModel& model) const;
@@ -72,7 +68,10 @@ public:
   const cv::Mat& measuredImage() const { return measured_image_; }
 
 private:
+  void leaveOut(const std::vector<PlacedEnds>& ends);
   cv::Mat highPassed(const cv::Mat& image) const;
+  /// Brings to mean 0 and norm 1 over the valid pixels; 0 if there is nothing but rounding. @return the norm
+  float normalise(Eigen::VectorXf& image) const;
 
   const ProjectionGeometry* geometry_;
   PixelGrid grid_;  ///< with a border that the high-pass needs
@@ -81,5 +80,7 @@ private:
   cv::Size size_;   ///< without the border [bins]
   cv::Mat measured_image_;
   Eigen::VectorXf measured_;
+  cv::Mat inside_ct_;  ///< of the grid, as valid_; empty if all count
+  Eigen::VectorXf valid_;
 };
 }  // namespace xray_tracking

@@ -2,16 +2,14 @@
 
 #include <algorithm>
 #include <cmath>
-#include <sstream>
 #include <stdexcept>
 
-#include <Eigen/Eigenvalues>
-
-#include "xray_tracking_core/volume/resampling.h"
+#include "xray_tracking_core/evaluation/evaluation.h"
 
 #include "derivative_free.h"
 #include "gauss_newton.h"
 #include "image_level.h"
+#include "message.h"
 #include "reliability.h"
 #include "run_control.h"
 #include "xray_tracking_registration/attenuation_image.h"
@@ -29,11 +27,26 @@ constexpr Descent kTogether{ 12, 3e-3 };
 constexpr Descent kApart{ 8, 3e-3 };
 constexpr Descent kFinish{ 15, 1e-4 };
 constexpr Descent kTry{ 6, 1e-2 };
+constexpr Descent kPart{ 8, 1e-3 };  // to see whether one body would rather be two
+
+/// How far the rest may have moved against the target since the start: weak, a standard deviation of 4 degrees and 5
+/// mm.
+const Twist kRestInformation =
+    (Twist() << Eigen::Vector3d::Constant(205.0), Eigen::Vector3d::Constant(0.04)).finished();
+/// Views as similar as this at the start are near enough for the fine level alone.
+constexpr double kNearlyThere = 0.5;
+/// Views as similar as this show no other vertebra.
+constexpr double kSure = 0.72;
+constexpr double kNeighbour = 18.0;    // where another vertebra is looked for, along the patient's long axis [mm]
+constexpr double kMuchFarther = 12.0;  // from the start than what was found: the start itself speaks against it [mm]
+/// What two bodies may differ by from one body that is believed [mm].
+constexpr double kMaxParted = 0.8;
 
 // Where to start again if the first try fails: this far from the start along and about each axis of the room.
 constexpr double kRetryTranslation = 7.0;  // [mm]
 constexpr double kRetryRotation = 4.0 * M_PI / 180.0;
-constexpr std::size_t kRetries = 3;  // that are followed to the end
+constexpr std::size_t kRetries = 3;      // that are followed to the end
+constexpr double kRetriedMargin = 0.03;  // above the least similarity
 
 /// Where one descent ended.
 struct Outcome
@@ -44,15 +57,6 @@ struct Outcome
   Eigen::Matrix<double, 6, 6> covariance = Eigen::Matrix<double, 6, 6>::Zero();
   std::string doubt;  ///< why it is not to be believed; empty if it is
 };
-
-template <typename... Parts>
-std::string message(const Parts&... parts)
-{
-  std::ostringstream text;
-  text.precision(3);
-  (text << ... << parts);
-  return text.str();
-}
 
 void check(const RegistrationRequest& request)
 {
@@ -96,25 +100,15 @@ public:
     {
       throw std::invalid_argument("target box: expected finite corners, min below max");
     }
-    if (bodies.target.values.empty())
-    {
-      throw std::invalid_argument("bodies: the target has no voxel");
-    }
-    bodies_.centre = box.center();
     voxel_edge_ = std::cbrt(std::abs(bodies.target.grid.patient_from_index.linear().determinant()));
     const double footprint = std::max(kFine.bin_mm / kUsualMagnification, voxel_edge_);
-    bodies_.target = std::make_unique<BodyRenderer>(bodies.target, footprint, options.projector);
-    if (!bodies.rest.values.empty())
-    {
-      // A nuisance, and most of the voxels. As it deforms, which the model does not, a smooth one also fits the better.
-      bodies_.rest = std::make_unique<BodyRenderer>(halved(bodies.rest), footprint, options.projector);
-    }
-    moving_ = bodies_.rest && options.rest == RestMotion::ESTIMATED ? Moving::BOTH : Moving::TARGET;
+    bodies_ = std::make_unique<const Bodies>(bodies, box, footprint, options.projector);
+    moving_ = bodies_->one ? Moving::TOGETHER : options.rest == RestMotion::ESTIMATED ? Moving::BOTH : Moving::TARGET;
   }
 
   RegistrationResult run(const RegistrationRequest& request) const
   {
-    RunControl control(request, bodies_.centre);
+    RunControl control(request, bodies_->centre);
     RegistrationResult result;
     result.room_from_patient = request.room_from_patient;
     result.target_from_rest = request.target_from_rest;
@@ -136,17 +130,14 @@ public:
 
   AttenuationField::Statistics fieldStatistics() const
   {
-    AttenuationField::Statistics sum = bodies_.target->fieldStatistics();
-    if (bodies_.rest)
-    {
-      const AttenuationField::Statistics rest = bodies_.rest->fieldStatistics();
-      sum.lookups += rest.lookups;
-      sum.hits += rest.hits;
-    }
+    AttenuationField::Statistics sum = bodies_->target->fieldStatistics();
+    const AttenuationField::Statistics rest = bodies_->rest->fieldStatistics();
+    sum.lookups += rest.lookups;
+    sum.hits += rest.hits;
     return sum;
   }
 
-  std::size_t memory() const { return bodies_.target->memory() + (bodies_.rest ? bodies_.rest->memory() : 0); }
+  std::size_t memory() const { return bodies_->target->memory() + bodies_->rest->memory(); }
 
 private:
   struct Run
@@ -176,16 +167,32 @@ private:
   void solve(const Run& run, RegistrationResult& result) const
   {
     const RegistrationRequest& request = run.request;
-    const PosePair start{ request.room_from_patient, request.room_from_patient * request.target_from_rest };
-    result.similarity_before = linearise(makeViews(run, start, kFine), bodies_, start, Moving::TARGET).meanSimilarity();
+    const PosePair start{ request.room_from_patient, bodies_->one
+                                                         ? request.room_from_patient
+                                                         : request.room_from_patient * request.target_from_rest };
+    const Linearisation before = linearise(makeViews(run, start, kFine), *bodies_, start, Moving::TARGET);
+    result.similarity_before = before.meanSimilarity();
     makeViews(run, start, kCoarse);
 
-    Outcome best = descend(run, start);
+    const bool near = options_.optimiser == Optimiser::GAUSS_NEWTON &&
+                      *std::min_element(before.similarity.begin(), before.similarity.end()) >= kNearlyThere;
+    Outcome best = descend(run, start, near);
+    if (near && !best.doubt.empty() && run.control.stop() == RunControl::Stop::NONE)
+    {
+      best = descend(run, start, false);
+    }
     if (!best.doubt.empty() && options_.optimiser == Optimiser::GAUSS_NEWTON)
     {
+      // The more places are tried, the more of them look right by chance.
+      RegistrationOptions demanding = options_;
+      demanding.min_similarity = std::min(1.0, options_.min_similarity + kRetriedMargin);
       for (const PosePair& other : otherStarts(run, start))
       {
-        Outcome outcome = descend(run, other);
+        Outcome outcome = descend(run, other, false);
+        if (outcome.doubt.empty())
+        {
+          outcome.doubt = doubt(outcome.views, outcome.covariance, demanding);
+        }
         if (outcome.similarity > best.similarity)
         {
           best = std::move(outcome);
@@ -196,8 +203,12 @@ private:
         }
       }
     }
+    if (best.doubt.empty() && options_.optimiser == Optimiser::GAUSS_NEWTON)
+    {
+      best.doubt = doubtByNeighbours(run, best);
+    }
     result.room_from_patient = best.poses.target;
-    if (bodies_.rest)
+    if (!bodies_->one)
     {
       result.target_from_rest = best.poses.target.inverse() * best.poses.rest;
     }
@@ -221,16 +232,19 @@ private:
     }
   }
 
-  std::vector<ViewLevel> makeViews(const Run& run, const PosePair& poses, const Resolution& resolution) const
+  /// @param finest edge of the bins, at least, in voxels as they appear on the detector
+  std::vector<ViewLevel> makeViews(const Run& run, const PosePair& poses, const Resolution& resolution,
+                                   double finest = 0.5) const
   {
+    const std::vector<PlacedEnds> ends{ { bodies_->target_ends, poses.target }, { bodies_->rest_ends, poses.rest } };
     std::vector<ViewLevel> views;
     for (std::size_t v = 0; v < run.attenuation.size(); ++v)
     {
       const RegistrationView& view = run.request.views[v];
-      // No finer than the CT's voxels appear on the detector: beyond that there is only noise to compare.
-      const double voxel = voxel_edge_ * view.geometry.magnification(poses.target * bodies_.centre);
+      // Not far below the size in which the CT's voxels appear on the detector: there is only noise to compare.
+      const double voxel = finest * voxel_edge_ * view.geometry.magnification(poses.target * bodies_->centre);
       const Resolution able{ std::max(resolution.bin_mm, voxel), std::max(resolution.highpass_mm, voxel) };
-      views.emplace_back(view.geometry, run.attenuation[v], region(view, poses.target), able);
+      views.emplace_back(view.geometry, run.attenuation[v], region(view, poses.target), able, ends);
     }
     return views;
   }
@@ -258,48 +272,36 @@ private:
     return cv::Rect(first.x(), first.y(), end.x() - first.x(), end.y() - first.y());
   }
 
-  /// From coarse to fine.
-  Outcome descend(const Run& run, const PosePair& start) const
+  /// From coarse to fine, or fine alone; then judged.
+  Outcome descend(const Run& run, const PosePair& start, bool fine_alone) const
   {
     Outcome outcome;
     outcome.poses = start;
     PosePair& poses = outcome.poses;
-    RunControl& control = run.control;
+    const RestPrior prior{ run.request.target_from_rest, kRestInformation };
     try
     {
-      control.level = 0;
-      const std::vector<ViewLevel> coarse = makeViews(run, poses, kCoarse);
-      if (options_.optimiser == Optimiser::GAUSS_NEWTON)
+      if (options_.optimiser != Optimiser::GAUSS_NEWTON)
       {
+        descendDerivativeFree(run, poses);
+      }
+      else if (!fine_alone)
+      {
+        run.control.level = 0;
+        const std::vector<ViewLevel> coarse = makeViews(run, poses, kCoarse);
         if (moving_ == Moving::BOTH)
         {
           // As one body first: half as many unknowns reach further.
-          gaussNewton(coarse, bodies_, Moving::TOGETHER, kTogether, control, poses);
+          gaussNewton(coarse, *bodies_, Moving::TOGETHER, prior, kTogether, run.control, poses);
         }
-        gaussNewton(coarse, bodies_, moving_, kApart, control, poses);
-        control.level = 1;
+        gaussNewton(coarse, *bodies_, moving_, prior, kApart, run.control, poses);
       }
-      else
-      {
-        optimiseDerivativeFree(coarse, bodies_, bodies_.rest ? Moving::TOGETHER : moving_, options_.optimiser,
-                               *similarity_, 3.0, control, poses);
-        control.level = 1;
-        optimiseDerivativeFree(makeViews(run, poses, kFineWide), bodies_, moving_, options_.optimiser, *similarity_,
-                               0.7, control, poses);
-      }
+      run.control.level = 1;
       const std::vector<ViewLevel> fine = makeViews(run, poses, kFine);
       const Linearisation at = options_.optimiser == Optimiser::GAUSS_NEWTON
-                                   ? gaussNewton(fine, bodies_, moving_, kFinish, control, poses)
-                                   : linearise(fine, bodies_, poses, moving_);
-      outcome.similarity = at.meanSimilarity();
-      const Linearisation wide = linearise(makeViews(run, poses, kCoarse), bodies_, poses, moving_);
-      outcome.views = viewResiduals(fine, at, poses.target * bodies_.centre);
-      for (std::size_t v = 0; v < outcome.views.size(); ++v)
-      {
-        outcome.views[v].coarse_similarity = wide.similarity[v];
-      }
-      outcome.covariance = poseCovariance(fine, at);
-      outcome.doubt = doubt(outcome);
+                                   ? gaussNewton(fine, *bodies_, moving_, prior, kFinish, run.control, poses)
+                                   : linearise(fine, *bodies_, poses, moving_);
+      judge(run, prior, fine, at, outcome);
     }
     catch (const std::invalid_argument& error)
     {
@@ -308,28 +310,75 @@ private:
     return outcome;
   }
 
-  /// Why an outcome is not to be believed; empty if nothing speaks against it.
-  std::string doubt(const Outcome& outcome) const
+  void descendDerivativeFree(const Run& run, PosePair& poses) const
   {
+    run.control.level = 0;
+    optimiseDerivativeFree(makeViews(run, poses, kCoarse), *bodies_, together(), options_.optimiser, *similarity_, 3.0,
+                           run.control, poses);
+    run.control.level = 1;
+    optimiseDerivativeFree(makeViews(run, poses, kFineWide), *bodies_, moving_, options_.optimiser, *similarity_, 0.7,
+                           run.control, poses);
+  }
+
+  void judge(const Run& run, const RestPrior& prior, const std::vector<ViewLevel>& fine, const Linearisation& at,
+             Outcome& outcome) const
+  {
+    const PosePair& poses = outcome.poses;
+    outcome.similarity = at.meanSimilarity();
+    outcome.views = viewResiduals(fine, at, poses.target * bodies_->centre);
+    const auto similarities = [&](const Resolution& resolution, double finest)
+    { return linearise(makeViews(run, poses, resolution, finest), *bodies_, poses, Moving::TARGET).similarity; };
+    const std::vector<double> wide = similarities(kCoarse, 1.0);
+    // What is finer than the CT's voxels guides the iterations but tells a good pose from a bad one no more.
+    const std::vector<double> told = kFine.bin_mm < voxel_edge_ ? similarities(kFine, 1.0) : at.similarity;
     for (std::size_t v = 0; v < outcome.views.size(); ++v)
     {
-      if (!(outcome.views[v].similarity >= options_.min_similarity))
+      outcome.views[v].similarity = told[v];
+      outcome.views[v].coarse_similarity = wide[v];
+    }
+    outcome.covariance = poseCovariance(fine, at, prior, poses, *bodies_);
+    outcome.doubt = doubt(outcome.views, outcome.covariance, options_);
+    if (outcome.doubt.empty() && bodies_->one)
+    {
+      PosePair apart = poses;
+      gaussNewton(fine, *bodies_, Moving::BOTH, prior, kPart, run.control, apart);
+      const double parted = targetRegistrationError(apart.target, poses.target, box_);
+      if (parted > kMaxParted)
       {
-        return message("similarity of view ", v, " is ", outcome.views[v].similarity, ", below ",
-                       options_.min_similarity);
-      }
-      if (!(outcome.views[v].coarse_similarity >= options_.min_coarse_similarity))
-      {
-        return message("coarse similarity of view ", v, " is ", outcome.views[v].coarse_similarity, ", below ",
-                       options_.min_coarse_similarity);
+        outcome.doubt = message("two bodies would have the target ", parted, " mm elsewhere, above ", kMaxParted);
       }
     }
-    const double variance = Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(outcome.covariance.bottomRightCorner<3, 3>())
-                                .eigenvalues()
-                                .maxCoeff();
-    if (!(variance <= options_.max_deviation_mm * options_.max_deviation_mm))
+  }
+
+  /// What moves while both bodies move as one.
+  Moving together() const { return moving_ == Moving::TARGET ? moving_ : Moving::TOGETHER; }
+
+  /// Why another vertebra may be the target; empty if there is none within bounds, not much farther from the
+  /// start, that is as much alike. Where all
+  /// views are alike beyond doubt none is looked for.
+  std::string doubtByNeighbours(const Run& run, const Outcome& outcome) const
+  {
+    const double alike = leastSimilarity(outcome.views);
+    for (const double side : { -kNeighbour, kNeighbour })
     {
-      return message("expected error is ", std::sqrt(variance), " mm, above ", options_.max_deviation_mm);
+      if (alike >= kSure || run.control.stop() != RunControl::Stop::NONE)
+      {
+        return "";
+      }
+      Twist step = Twist::Zero();
+      step.tail<3>() = side * outcome.poses.target.linear().col(2);
+      const PosePair start = moved(outcome.poses, step, bodies_->centre, together());
+      const double found = run.control.distance(outcome.poses.target);
+      if (!run.control.inBounds(start.target) || run.control.distance(start.target) > found + kMuchFarther)
+      {
+        continue;
+      }
+      const Outcome there = descend(run, start, false);
+      const double apart = targetRegistrationError(there.poses.target, outcome.poses.target, box_);
+      if (!there.views.empty() && apart > kMaxParted && leastSimilarity(there.views) > alike - kRetriedMargin)
+      {
+        return message("a place ", apart, " mm away is as much alike");
+      }
     }
     return "";
   }
@@ -342,16 +391,16 @@ private:
       PosePair poses;
       double similarity;
     };
-    const Moving moving = bodies_.rest ? Moving::TOGETHER : Moving::TARGET;
     std::vector<Candidate> candidates;
     for (int n = 0; n < 12 && run.control.stop() == RunControl::Stop::NONE; ++n)
     {
       Twist offset = Twist::Zero();
       offset[n / 2] = (n % 2 == 0 ? 1.0 : -1.0) * (n < 6 ? kRetryRotation : kRetryTranslation);
-      PosePair poses = moved(start, offset, bodies_.centre, moving);
+      PosePair poses = moved(start, offset, bodies_->centre, together());
       try
       {
-        const Linearisation at = gaussNewton(makeViews(run, poses, kCoarse), bodies_, moving, kTry, run.control, poses);
+        const Linearisation at =
+            gaussNewton(makeViews(run, poses, kCoarse), *bodies_, together(), RestPrior{}, kTry, run.control, poses);
         candidates.push_back({ poses, at.meanSimilarity() });
       }
       catch (const std::invalid_argument&)
@@ -373,7 +422,7 @@ private:
   RegistrationOptions options_;
   Eigen::AlignedBox3d box_;
   std::unique_ptr<const Similarity> similarity_;
-  Bodies bodies_;
+  std::unique_ptr<const Bodies> bodies_;
   double voxel_edge_;  ///< geometric mean [mm]
   Moving moving_;
 };

@@ -1,7 +1,9 @@
 // What RegistrationRos does for those who ask: services, action, diagnostics.
+#include <chrono>
 #include <sstream>
 #include <utility>
 
+#include "processor_clock.h"
 #include "xray_tracking_conversions/conversions.h"
 #include "xray_tracking_registration/refinement_messages.h"
 #include "xray_tracking_registration/registration_ros.h"
@@ -11,6 +13,9 @@ namespace xray_tracking
 namespace
 {
 constexpr double kFeedbackPeriod = 0.03;  // [s]
+
+/// Who tracks may ask about an exposure before all of its messages are here.
+constexpr std::chrono::milliseconds kArrivalTime(500);
 }  // namespace
 
 bool RegistrationRos::claim(Job job)
@@ -84,6 +89,7 @@ void RegistrationRos::cancelCb(GoalHandle goal)
     if (job_->running)
     {
       cancel_ = true;
+      wake_.notify_all();
       return;
     }
     answer = std::exchange(job_, std::nullopt)->answer;
@@ -99,6 +105,9 @@ RegistrationRos::RefinementResult RegistrationRos::busyResult() const
 void RegistrationRos::answerJob()
 {
   // Nobody else touches a job that is running.
+  const ProcessorClock clock;
+  const ros::Time stamp = job_->request.stamp;
+  const bool kept = job_->request.images.empty() && !stamp.isZero();
   ros::SteadyTime last_feedback;
   const RefinementResult result = refineRequest(job_->request,
                                                 [this, &last_feedback](const RegistrationProgress& progress)
@@ -120,6 +129,11 @@ void RegistrationRos::answerJob()
                                                   }
                                                   return true;
                                                 });
+  // Each exposure once, whoever asks.
+  if (parameters_.method == RefinementMethod::TRACKING_AND_REGISTRATION && kept && stamp > last_refined_ && !stop_)
+  {
+    publishRefined(stamp, result, clock.seconds(), job_->arrival);
+  }
   std::function<void(const RefinementResult&)> answer;
   {
     const std::lock_guard<std::mutex> lock(mutex_);
@@ -134,45 +148,21 @@ RegistrationRos::RefinementResult RegistrationRos::refineRequest(const Refinemen
                                                                  const Progress& progress)
 {
   const std::shared_ptr<const Registration> registration = currentRegistration();
-  StoredExposure exposure;
+  if (!registration)
   {
     const std::lock_guard<std::mutex> lock(mutex_);
-    if (!registration)
-    {
-      return resultMessage(RefinementResult::NO_VOLUME, volume_state_);
-    }
-    if (message.images.empty())
-    {
-      const StoredExposure* stored = store_ ? store_->find(message.stamp) : nullptr;
-      std::ostringstream reason;
-      if (stored == nullptr)
-      {
-        reason << "there is no exposure ";
-        if (message.stamp.isZero())
-        {
-          reason << "with all views so far";
-        }
-        else
-        {
-          reason << "at " << message.stamp << " among the " << (store_ ? store_->size() : 0) << " that are kept";
-        }
-      }
-      else if (const std::string missing = store_->missingView(*stored); !missing.empty())
-      {
-        reason << "the exposure at " << message.stamp << " lacks a view: " << missing;
-      }
-      if (!reason.str().empty())
-      {
-        return resultMessage(RefinementResult::NO_EXPOSURE, reason.str());
-      }
-      exposure = *stored;
-    }
+    return resultMessage(RefinementResult::NO_VOLUME, volume_state_);
   }
+  StoredExposure exposure;
   try
   {
     if (!message.images.empty())
     {
       exposure = exposureOf(message, setup_);
+    }
+    else if (const std::string reason = findExposure(message.stamp, exposure); !reason.empty())
+    {
+      return resultMessage(stop_ || cancel_ ? RefinementResult::CANCELLED : RefinementResult::NO_EXPOSURE, reason);
     }
     RegistrationRequest request = requestFor(exposure, progress);
     applyRequest(message, request);
@@ -182,6 +172,37 @@ RegistrationRos::RefinementResult RegistrationRos::refineRequest(const Refinemen
   {
     return resultMessage(RefinementResult::INVALID, error.what());
   }
+}
+
+std::string RegistrationRos::findExposure(const ros::Time& stamp, StoredExposure& exposure)
+{
+  std::unique_lock<std::mutex> lock(mutex_);
+  const StoredExposure* stored = nullptr;
+  const auto complete = [&]
+  {
+    stored = store_ ? store_->find(stamp) : nullptr;
+    return stored != nullptr && store_->missingView(*stored).empty();
+  };
+  if (wake_.wait_for(lock, kArrivalTime, [&] { return stop_ || cancel_ || complete(); }) && complete())
+  {
+    noteRestart();
+    exposure = *stored;
+    return std::string();
+  }
+  std::ostringstream reason;
+  if (stored != nullptr)
+  {
+    reason << "the exposure at " << stamp << " lacks a view: " << store_->missingView(*stored);
+  }
+  else if (stamp.isZero())
+  {
+    reason << "there is no exposure with all views so far";
+  }
+  else
+  {
+    reason << "there is no exposure at " << stamp << " among the " << (store_ ? store_->size() : 0) << " that are kept";
+  }
+  return reason.str();
 }
 
 bool RegistrationRos::loadVolumeCb(xray_tracking_msgs::LoadVolume::Request& request,
@@ -236,9 +257,12 @@ void RegistrationRos::diagnose(diagnostic_updater::DiagnosticStatusWrapper& stat
   status.add("volume", volume_state_);
   status.add("memory of the volume [MB]", registration_ ? registration_->memory() / 1000000 : 0);
   status.add("exposures kept", store_ ? store_->size() : 0);
-  if (parameters_.method != RefinementMethod::TRACKING)
+  if (parameters_.method == RefinementMethod::REGISTRATION)
   {
     status.add("exposures that wait", store_ ? store_->waiting() : 0);
+  }
+  if (parameters_.method != RefinementMethod::TRACKING)
+  {
     status.add("exposures answered", exposures_);
     status.add("exposures refined", refined_);
   }

@@ -1,9 +1,9 @@
 #include "xray_tracking_registration/registration_ros.h"
 
-#include <ctime>
 #include <stdexcept>
 #include <utility>
 
+#include "processor_clock.h"
 #include "xray_tracking_conversions/conversions.h"
 #include "xray_tracking_core/volume/neck_phantom.h"
 #include "xray_tracking_registration/refinement_messages.h"
@@ -12,17 +12,12 @@ namespace xray_tracking
 {
 namespace
 {
-using xray_tracking_msgs::PatientMotion;
-
 /// Intake, a request that is being worked on, a load, and one that tells others to wait.
 constexpr std::uint32_t kThreads = 4;
+/// Slices as thin as the pixels.
+const PhantomCtOptions kPhantomCt{ { 200, 200, 200 }, { 1.0, 1.0, 1.0 }, 1.0 };
 constexpr const char* kStopping = "the node is shutting down";
 
-/// Of the whole process, as registration uses all cores.
-double processorSeconds()
-{
-  return static_cast<double>(std::clock()) / CLOCKS_PER_SEC;
-}
 }  // namespace
 
 RegistrationRos::RegistrationRos(const ros::NodeHandle& nh, const ros::NodeHandle& pnh)
@@ -116,16 +111,10 @@ void RegistrationRos::subscribe()
   {
     names.push_back(geometry.name());
   }
-  const bool with_tracking = parameters_.method == RefinementMethod::TRACKING_AND_REGISTRATION;
   {
     const std::lock_guard<std::mutex> lock(mutex_);
-    store_.emplace(names, static_cast<std::size_t>(parameters_.queue_size), with_tracking);
-  }
-  if (with_tracking)
-  {
-    subscribeTo<PatientMotion>("patient_motion", [this](const auto& message) { store_->addMotion(message); });
-    subscribeTo<geometry_msgs::PoseWithCovarianceStamped>("patient_pose",
-                                                          [this](const auto& message) { store_->addPose(message); });
+    store_.emplace(names, static_cast<std::size_t>(parameters_.queue_size),
+                   parameters_.method == RefinementMethod::REGISTRATION);
   }
   for (std::size_t i = 0; i < names.size(); ++i)
   {
@@ -175,7 +164,7 @@ std::shared_ptr<const Registration> RegistrationRos::makeRegistration(const std:
     throw std::invalid_argument("ct is absent in " + parameters_.setup_file +
                                 ", expected the path of a CT (source: ct)");
   }
-  const CtVolume ct = ct_path.empty() ? NeckPhantom().sampleCt({}) : readCtVolume(ct_path);
+  const CtVolume ct = ct_path.empty() ? NeckPhantom().sampleCt(kPhantomCt) : readCtVolume(ct_path);
   if (parameters_.bodies == 1)
   {
     return std::make_shared<const Registration>(oneBody(ct), setup_.target_box, parameters_.options);
@@ -192,10 +181,11 @@ std::shared_ptr<const Registration> RegistrationRos::makeRegistration(const std:
 
 void RegistrationRos::work()
 {
-  const bool by_itself = parameters_.method != RefinementMethod::TRACKING;
+  const bool by_itself = parameters_.method == RefinementMethod::REGISTRATION;
   std::unique_lock<std::mutex> lock(mutex_);
   while (!stop_)
   {
+    noteRestart();
     if (job_)
     {
       job_->running = true;
@@ -230,31 +220,44 @@ void RegistrationRos::work()
 
 void RegistrationRos::answerExposure(const ExposureStore::Due& due)
 {
-  const double cpu_start = processorSeconds();
-  if (due.restart)
-  {
-    ROS_WARN_STREAM("exposures start again at " << due.stamp << ": forgetting the earlier ones");
-    accepted_pose_ = setup_.room_from_patient;
-    target_from_rest_ = RigidTransform::Identity();
-  }
-  xray_tracking_msgs::RefinedPose refined;
-  refined.header.stamp = due.stamp;
-  refined.header.frame_id = kRoomFrame;
-  refined.method = methodName(parameters_.method);
-  refined.result = refineExposure(due);
+  const ProcessorClock clock;
+  const RefinementResult result = refineExposure(due);
   if (stop_)
   {
     return;
   }
-  refined.cpu_time = ros::Duration(processorSeconds() - cpu_start);
-  refined.wall_time = ros::Duration((ros::SteadyTime::now() - due.exposure.last_arrival).toSec());
+  publishRefined(due.stamp, result, clock.seconds(), due.exposure.last_arrival);
+  const std::lock_guard<std::mutex> lock(mutex_);
+  last_result_ = result;
+}
+
+void RegistrationRos::publishRefined(const ros::Time& stamp, const RefinementResult& result, double cpu_seconds,
+                                     const ros::SteadyTime& arrival)
+{
+  xray_tracking_msgs::RefinedPose refined;
+  refined.header.stamp = last_refined_ = stamp;
+  refined.header.frame_id = kRoomFrame;
+  refined.method = methodName(parameters_.method);
+  refined.result = result;
+  refined.cpu_time = ros::Duration(cpu_seconds);
+  refined.wall_time = ros::Duration((ros::SteadyTime::now() - arrival).toSec());
   refined_pose_publisher_.publish(refined);
-  const bool success = refined.result.status == RefinementResult::SUCCESS;
-  ROS_WARN_STREAM_COND(!success, "the exposure at " << due.stamp << " is not refined: " << refined.result.reason);
+  const bool success = result.status == RefinementResult::SUCCESS;
+  ROS_WARN_STREAM_COND(!success, "the exposure at " << stamp << " is not refined: " << result.reason);
   const std::lock_guard<std::mutex> lock(mutex_);
   ++exposures_;
   refined_ += success ? 1 : 0;
-  last_result_ = refined.result;
+}
+
+void RegistrationRos::noteRestart()
+{
+  if (store_ && store_->takeRestart())
+  {
+    ROS_WARN_STREAM("exposures start again: forgetting the earlier ones");
+    accepted_pose_ = setup_.room_from_patient;
+    target_from_rest_ = RigidTransform::Identity();
+    last_refined_ = ros::Time();
+  }
 }
 
 RegistrationRos::RefinementResult RegistrationRos::refineExposure(const ExposureStore::Due& due)
@@ -273,20 +276,7 @@ RegistrationRos::RefinementResult RegistrationRos::refineExposure(const Exposure
   {
     RegistrationRequest request = requestFor(due.exposure, [this](const RegistrationProgress&) { return !stop_; });
     request.room_from_patient = accepted_pose_;
-    std::string remark;
-    if (parameters_.method == RefinementMethod::TRACKING_AND_REGISTRATION)
-    {
-      if (due.exposure.motion->state == PatientMotion::OK)
-      {
-        request.room_from_patient = rigidFromPoseMsg(due.exposure.pose->pose.pose);
-      }
-      else
-      {
-        remark = "; from the last accepted pose, as tracking has none: " + due.exposure.motion->reason;
-      }
-    }
-    RefinementResult result = run(*registration, request);
-    result.reason += remark;
+    const RefinementResult result = run(*registration, request);
     if (result.status == RefinementResult::SUCCESS)
     {
       accepted_pose_ = rigidFromPoseMsg(result.pose.pose);

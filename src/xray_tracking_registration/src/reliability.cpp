@@ -1,9 +1,13 @@
 #include "reliability.h"
 
+#include <algorithm>
 #include <cmath>
 
 #include <Eigen/Cholesky>
+#include <Eigen/Eigenvalues>
 #include <Eigen/Geometry>
+
+#include "message.h"
 
 namespace xray_tracking
 {
@@ -13,6 +17,9 @@ constexpr int kTiles = 4;  // along either edge of a view's region
 // The squared error is this much larger than the spread over the tiles, as all share the CT's noise and blur. Measured
 // on exact X-rays of the phantom and on real anatomy, where it is alike.
 constexpr double kCalibration = 2.5;
+
+// Of what is fine, whatever the coarse similarity: a few millimetres off the latter is still high.
+constexpr double kLeastSimilarity = 0.52;
 
 /// Normal equations of one tile of a view.
 NormalEquations tileEquations(const ViewLevel& view, const ViewModel& model, const Eigen::VectorXf& weights,
@@ -34,9 +41,15 @@ NormalEquations tileEquations(const ViewLevel& view, const ViewModel& model, con
 }
 }  // namespace
 
-Eigen::Matrix<double, 6, 6> poseCovariance(const std::vector<ViewLevel>& views, const Linearisation& at)
+Eigen::Matrix<double, 6, 6> poseCovariance(const std::vector<ViewLevel>& views, const Linearisation& at,
+                                           const RestPrior& prior, const PosePair& poses, const Bodies& bodies)
 {
-  const NormalEquations whole = normalEquations(views, at);
+  NormalEquations whole = normalEquations(views, at);
+  if (whole.gradient.size() == 12)
+  {
+    addPrior(prior, poses, bodies.centre, whole);
+  }
+  const Eigen::LDLT<Eigen::MatrixXd> solver(whole.information);
   Eigen::Matrix<double, 6, 6> sum = Eigen::Matrix<double, 6, 6>::Zero();
   for (std::size_t v = 0; v < views.size(); ++v)
   {
@@ -46,12 +59,59 @@ Eigen::Matrix<double, 6, 6> poseCovariance(const std::vector<ViewLevel>& views, 
       const cv::Point first(tile % kTiles * size.width / kTiles, tile / kTiles * size.height / kTiles);
       const cv::Point end((tile % kTiles + 1) * size.width / kTiles, (tile / kTiles + 1) * size.height / kTiles);
       const NormalEquations part = tileEquations(views[v], at.models[v], at.weights[v], cv::Rect(first, end));
-      const Eigen::VectorXd step = (whole.information - part.information).ldlt().solve(whole.gradient - part.gradient);
+      const Eigen::VectorXd step = solver.solve(part.gradient);
       sum += step.head<6>() * step.head<6>().transpose();
     }
   }
-  const double tiles = static_cast<double>(views.size()) * kTiles * kTiles;
-  return kCalibration * (tiles - 1.0) / tiles * sum;
+  return kCalibration * sum;
+}
+
+namespace
+{
+/// Of another vertebra either one may be high.
+double bothSimilarities(const ViewResidual& view)
+{
+  return std::sqrt(std::max(0.0, view.coarse_similarity) * std::max(0.0, view.similarity));
+}
+}  // namespace
+
+double leastSimilarity(const std::vector<ViewResidual>& views)
+{
+  double least = 1.0;
+  for (const ViewResidual& view : views)
+  {
+    least = std::min(least, bothSimilarities(view));
+  }
+  return least;
+}
+
+std::string doubt(const std::vector<ViewResidual>& views, const Eigen::Matrix<double, 6, 6>& covariance,
+                  const RegistrationOptions& options)
+{
+  for (std::size_t v = 0; v < views.size(); ++v)
+  {
+    const double coarse = views[v].coarse_similarity;
+    if (!(coarse >= options.min_coarse_similarity))
+    {
+      return message("coarse similarity of view ", v, " is ", coarse, ", below ", options.min_coarse_similarity);
+    }
+    if (!(views[v].similarity >= kLeastSimilarity))
+    {
+      return message("similarity of view ", v, " is ", views[v].similarity, ", below ", kLeastSimilarity);
+    }
+    const double both = bothSimilarities(views[v]);
+    if (!(both >= options.min_similarity))
+    {
+      return message("similarity of view ", v, " is ", both, ", below ", options.min_similarity);
+    }
+  }
+  const double variance =
+      Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(covariance.bottomRightCorner<3, 3>()).eigenvalues().maxCoeff();
+  if (!(variance <= options.max_deviation_mm * options.max_deviation_mm))
+  {
+    return message("expected error is ", std::sqrt(variance), " mm, above ", options.max_deviation_mm);
+  }
+  return "";
 }
 
 std::vector<ViewResidual> viewResiduals(const std::vector<ViewLevel>& views, const Linearisation& at,

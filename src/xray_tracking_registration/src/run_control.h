@@ -43,10 +43,16 @@ public:
     return stop_ == Stop::NONE;
   }
 
+  /// Of the target's centre from the start [mm].
+  double distance(const RigidTransform& room_from_patient) const
+  {
+    return (room_from_patient * centre_ - request_.room_from_patient * centre_).norm();
+  }
+
   bool inBounds(const RigidTransform& room_from_patient) const
   {
     const RigidTransform motion = request_.room_from_patient.inverse() * room_from_patient;
-    return (motion * centre_ - centre_).norm() <= request_.max_translation_mm &&
+    return distance(room_from_patient) <= request_.max_translation_mm &&
            rotationAngle(motion) <= request_.max_rotation_rad;
   }
 

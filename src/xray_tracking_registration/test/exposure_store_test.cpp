@@ -2,13 +2,12 @@
 
 #include <gtest/gtest.h>
 #include <boost/make_shared.hpp>
+#include <boost/weak_ptr.hpp>
 
 namespace xray_tracking
 {
 namespace
 {
-using xray_tracking_msgs::PatientMotion;
-
 /// A store of two detectors and how to fill it.
 class ExposureStoreTest : public testing::Test
 {
@@ -30,13 +29,12 @@ protected:
     addView(store, 0, stamp);
     addView(store, 1, stamp);
   }
-  static void expectNext(ExposureStore& store, double stamp, const std::string& missing, bool restart = false)
+  static void expectNext(ExposureStore& store, double stamp, const std::string& missing)
   {
     const auto due = store.next();
     ASSERT_TRUE(due);
     EXPECT_EQ(ros::Time(stamp), due->stamp);
     EXPECT_EQ(missing, due->missing);
-    EXPECT_EQ(restart, due->restart);
   }
 
   const std::vector<std::string> names_ = { "a", "b" };
@@ -44,7 +42,7 @@ protected:
 
 TEST_F(ExposureStoreTest, handsOutInOrderEachOnce)
 {
-  ExposureStore store(names_, 10, false);
+  ExposureStore store(names_, 10, true);
   addView(store, 0, 1.0);
   EXPECT_FALSE(store.next());
   addView(store, 0, 2.0);
@@ -63,28 +61,6 @@ TEST_F(ExposureStoreTest, handsOutInOrderEachOnce)
   EXPECT_EQ("", store.missingView(*store.find(ros::Time(2.0)))) << "late, but there for who asks";
 }
 
-TEST_F(ExposureStoreTest, waitsForWhatTrackingSays)
-{
-  ExposureStore store(names_, 10, true);
-  addViews(store, 1.0);
-  addViews(store, 2.0);
-  EXPECT_FALSE(store.next());
-  const auto lost = stamped<PatientMotion>(1.0);
-  lost->state = PatientMotion::LOST;
-  store.addMotion(lost);
-  expectNext(store, 1.0, "");
-  store.addMotion(stamped<PatientMotion>(2.0));
-  EXPECT_FALSE(store.next());
-  store.addPose(stamped<geometry_msgs::PoseWithCovarianceStamped>(2.0));
-  expectNext(store, 2.0, "");
-  addViews(store, 3.0);
-  addViews(store, 4.0);
-  store.addMotion(stamped<PatientMotion>(4.0));
-  store.addPose(stamped<geometry_msgs::PoseWithCovarianceStamped>(4.0));
-  expectNext(store, 3.0, "patient_motion has not arrived");
-  expectNext(store, 4.0, "");
-}
-
 TEST_F(ExposureStoreTest, isBoundedAndSaysWhatGaveWay)
 {
   ExposureStore store(names_, 2, true);
@@ -95,12 +71,28 @@ TEST_F(ExposureStoreTest, isBoundedAndSaysWhatGaveWay)
   EXPECT_EQ(2U, store.size());
   EXPECT_EQ(nullptr, store.find(ros::Time(1.0)));
   expectNext(store, 1.0, "it gave way, as more than 2 exposures were kept");
+  expectNext(store, 2.0, "");
+  expectNext(store, 3.0, "");
+  EXPECT_FALSE(store.next());
+}
+
+TEST_F(ExposureStoreTest, isBoundedWhereNobodyTakesThemInTurn)
+{
+  ExposureStore store(names_, 2, false);
+  addViews(store, 1.0);
+  const boost::weak_ptr<const sensor_msgs::Image> first = store.find(ros::Time(1.0))->images[0];
+  addViews(store, 2.0);
+  EXPECT_FALSE(first.expired());
+  addViews(store, 3.0);
+  EXPECT_EQ(2U, store.size());
+  EXPECT_EQ(0U, store.waiting());
+  EXPECT_TRUE(first.expired()) << "an image that nobody can ask for";
   EXPECT_FALSE(store.next());
 }
 
 TEST_F(ExposureStoreTest, findsByStampOrTheLatestWhole)
 {
-  ExposureStore store(names_, 10, false);
+  ExposureStore store(names_, 10, true);
   EXPECT_EQ(nullptr, store.find(ros::Time()));
   addViews(store, 1.0);
   addViews(store, 2.0);
@@ -112,15 +104,18 @@ TEST_F(ExposureStoreTest, findsByStampOrTheLatestWhole)
 
 TEST_F(ExposureStoreTest, beginsAnewWhenTimeJumpsBack)
 {
-  ExposureStore store(names_, 10, false);
+  ExposureStore store(names_, 10, true);
   for (const double stamp : { 5.0, 6.0, 8.0 })
   {
     addViews(store, stamp);
   }
   expectNext(store, 5.0, "");
+  EXPECT_FALSE(store.takeRestart());
   addViews(store, 5.0);
   EXPECT_EQ(1U, store.size());
-  expectNext(store, 5.0, "", true);
+  EXPECT_TRUE(store.takeRestart());
+  EXPECT_FALSE(store.takeRestart());
+  expectNext(store, 5.0, "");
   addViews(store, 6.0);
   expectNext(store, 6.0, "");
 }

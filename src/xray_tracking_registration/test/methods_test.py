@@ -1,5 +1,5 @@
 #!/usr/bin/python3
-"""Nodes that refine every exposure by themselves answer each once; and what they say if they cannot."""
+"""Nodes that publish what they make of exposures publish each once; and what they say if they cannot."""
 import os
 import signal
 import subprocess
@@ -11,12 +11,11 @@ import numpy as np
 import roslib.packages
 import rospy
 import rostest
-from geometry_msgs.msg import PoseWithCovarianceStamped
 
 sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
 from registration_test_case import (DETECTORS, EXPOSURES, RegistrationTestCase, Sender, TIMEOUT,  # noqa: E402
                                     not_a_volume, shifted, small_volume)
-from xray_tracking_msgs.msg import PatientMotion, RefinedPose, RefinementRequest, RefinementResult  # noqa: E402
+from xray_tracking_msgs.msg import RefinedPose, RefinementRequest, RefinementResult  # noqa: E402
 from xray_tracking_msgs.srv import LoadVolume, RefinePose  # noqa: E402
 
 # Largest distance of the target box's corners; how near a registration comes, is judged by the library's tests.
@@ -73,36 +72,40 @@ class MethodsTest(RegistrationTestCase):
             self.assertEqual(len(answers.messages), EXPOSURES)
 
     def test_tracking_and_registration(self):
+        """What it is asked about kept exposures is published, each once; also if the request comes first."""
         answers = Answers("after")
         sender = Sender("after")
-        motions = rospy.Publisher("/after/patient_motion", PatientMotion, queue_size=10)
-        poses = rospy.Publisher("/after/patient_pose", PoseWithCovarianceStamped, queue_size=10)
-        self.wait_for(lambda: motions.get_num_connections() > 0 and poses.get_num_connections() > 0,
-                      "the node listens to tracking")
+        refine = rospy.ServiceProxy("/after/registration/refine_pose", RefinePose)
         stamps = [rospy.Time(100, 100000000 * k) for k in range(EXPOSURES)]
-        for stamp, exposure in zip(stamps, self.exposures):
-            sender.send(exposure, stamp)
         for k, (stamp, exposure) in enumerate(zip(stamps, self.exposures)):
-            motion = PatientMotion(state=PatientMotion.OK)
-            motion.header.stamp = stamp
-            if k == 3:
-                motion.state, motion.reason = PatientMotion.LOST, "detector_a has lost its region"
+            request = RefinementRequest(seed=shifted(exposure.truth, 0.001, 0.001, -0.001), stamp=stamp)
+            if k == 2:
+                later = threading.Timer(0.1, sender.send, (exposure, stamp))
+                later.start()
+                result = refine(request).result
+                later.join()
+            elif k == 3:
+                sender.send(exposure, stamp, DETECTORS[:1])
+                result = refine(request).result
             else:
-                pose = PoseWithCovarianceStamped()
-                pose.header.stamp = stamp
-                pose.pose.pose = shifted(exposure.truth, 0.001, 0.001, -0.001)
+                sender.send(exposure, stamp)
                 if k == 4:
-                    pose.pose.pose.position.x = float("nan")
-                poses.publish(pose)
-            motions.publish(motion)
-            answers.wait(k + 1)
-        for k, message in enumerate(answers.wait(EXPOSURES)):
-            if k == 4:
+                    request.seed.position.x = float("nan")
+                result = refine(request).result
+                if k == 1:
+                    self.assertEqual(refine(request).result.status, RefinementResult.SUCCESS)
+            self.assertEqual(answers.wait(k + 1)[k].result, result)
+        for k, message in enumerate(answers.messages):
+            if k == 3:
+                self.check_failed(message, stamps[k], RefinementResult.NO_EXPOSURE, "detector_b/image_raw")
+            elif k == 4:
                 self.check_failed(message, stamps[k], RefinementResult.INVALID, "nan")
-                continue
-            self.check_refined(message, stamps[k], self.exposures[k], "tracking_and_registration")
-            # Started from the last accepted pose, and says so.
-            self.assertEqual("tracking has none: detector_a has lost its region" in message.result.reason, k == 3)
+            else:
+                self.check_refined(message, stamps[k], self.exposures[k], "tracking_and_registration")
+        # Of what nobody keeps, or of the latest whatever it is, nothing is published.
+        self.assertEqual(refine(RefinementRequest(seed=self.exposures[-1].truth)).result.status,
+                         RefinementResult.SUCCESS)
+        self.assertEqual(len(answers.messages), EXPOSURES)
 
     def test_no_volume(self):
         refine = rospy.ServiceProxy("/no_volume/registration/refine_pose", RefinePose)

@@ -19,7 +19,8 @@ from sensor_msgs.msg import RegionOfInterest
 sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
 from registration_test_case import (DETECTORS, RegistrationTestCase, Sender, TIMEOUT, not_a_volume,  # noqa: E402
                                     shifted)
-from xray_tracking_msgs.msg import RefinePoseAction, RefinePoseGoal, RefinementRequest, RefinementResult  # noqa: E402
+from xray_tracking_msgs.msg import (RefinePoseAction, RefinePoseActionFeedback, RefinePoseGoal,  # noqa: E402
+                                    RefinementRequest, RefinementResult)
 from xray_tracking_msgs.srv import LoadVolume, RefinePose  # noqa: E402
 
 STAMP = rospy.Time(100)
@@ -192,12 +193,16 @@ class RequestsTest(RegistrationTestCase):
 
     def test_action(self):
         client = self.client()
+        # Not the client's, which lets fall what comes after the result on a connection of its own.
         feedback = []
-        goal = client.send_goal(RefinePoseGoal(self.good()), feedback_cb=lambda _, message: feedback.append(message))
+        subscriber = rospy.Subscriber(f"{NODE}/refine_pose/feedback", RefinePoseActionFeedback,
+                                      lambda message: feedback.append(message.feedback))
+        self.wait_for(lambda: subscriber.get_num_connections() > 0, "the feedback's connection")
+        goal = client.send_goal(RefinePoseGoal(self.good()))
         self.wait_for(lambda: goal.get_comm_state() == CommState.DONE, "the action's end")
         self.assertEqual(goal.get_terminal_state(), GoalStatus.SUCCEEDED)
         self.check_good(goal.get_result().result)
-        self.wait_for(lambda: feedback, "feedback, whose connection is not the result's")
+        self.wait_for(lambda: feedback, "feedback")
         self.assertLess(self.error_mm(feedback[0].pose, self.exposure.truth), 10.0)
         goal = client.send_goal(RefinePoseGoal(self.good(stamp=rospy.Time(55))))
         self.wait_for(lambda: goal.get_comm_state() == CommState.DONE, "the action's end")

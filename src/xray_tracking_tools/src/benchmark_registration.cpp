@@ -1,11 +1,14 @@
 #include <sys/resource.h>
+#include <algorithm>
 #include <chrono>
 #include <iostream>
 #include <limits>
+#include <map>
 #include <random>
 #include <stdexcept>
 
 #include <boost/math/constants/constants.hpp>
+#include <opencv2/imgcodecs.hpp>
 
 #include "xray_tracking_core/evaluation/evaluation.h"
 #include "xray_tracking_core/volume/neck_phantom.h"
@@ -76,17 +79,49 @@ Subject sequenceSubject(const std::string& path)
   return subject;
 }
 
-/// Closed-form X-rays of the phantom with the simulator's physics, of a CT of it: the target anywhere up to 12 mm and 4
-/// degrees, the rest of the body 4 mm and 2 degrees otherwise.
-Subject phantomSubject(int count)
+/// Which vertebra of the phantom is registered, how it was scanned and how the rest moves.
+struct PhantomCase
 {
-  constexpr double kRestTranslation = 4.0;
-  constexpr double kRestAngle = 2.0 * kDegree;
+  std::string target = "c4";
+  std::string room = "cyberknife";
+  double voxel = 1.0;  ///< [mm]
+  double rest_mm = 4.0;
+  double rest_degrees = 2.0;
+};
+
+/// Boxes around other vertebrae of the phantom than C4, patient frame [mm].
+Eigen::AlignedBox3d boxAround(const std::string& vertebra, const Eigen::AlignedBox3d& c4)
+{
+  const std::map<std::string, std::pair<double, double>> places{
+    { "c3", { 0.0, 16.0 } }, { "c4", { 0.0, 0.0 } }, { "c5", { 2.5, -18.0 } }, { "c6", { 5.5, -35.0 } }
+  };
+  const auto place = places.find(vertebra);
+  if (place == places.end())
+  {
+    throw std::invalid_argument("target is " + vertebra + ", expected c3, c4, c5 or c6");
+  }
+  const Eigen::Vector3d shift(0.0, place->second.first, place->second.second);
+  return { c4.min() + shift, c4.max() + shift };
+}
+
+/// Closed-form X-rays of the phantom with the simulator's physics, of a CT of it: the target anywhere up to 12 mm and 4
+/// degrees, the rest of the body somewhere else. C3 to C5 move as one, C6 with the phantom's rest.
+Subject phantomSubject(int count, const PhantomCase& what)
+{
   Subject subject;
-  subject.name = "phantom";
-  subject.ct = NeckPhantom().sampleCt(PhantomCtOptions());
+  subject.name = "phantom, " + what.target + ", " + what.room;
+  PhantomCtOptions scan;
+  scan.size = (scan.size.cast<double>().cwiseProduct(scan.spacing) / what.voxel).cast<int>();
+  scan.slice_thickness = 1.25 * what.voxel;
+  scan.spacing = { what.voxel, what.voxel, scan.slice_thickness };
+  scan.size.z() = static_cast<int>(scan.size.z() / 1.25);
+  subject.ct = NeckPhantom().sampleCt(scan);
   ExposureSet& exposures = subject.exposures;
   exposures.setup = loadTreatmentSetup(coreConfigPath("phantom_neck.yaml"));
+  exposures.setup.detectors = loadDetectors(coreConfigPath("geometry/" + what.room + ".yaml"));
+  exposures.setup.target_box = boxAround(what.target, exposures.setup.target_box);
+  RigidTransform& start = exposures.setup.room_from_patient;
+  start.translation() = -(start.linear() * subject.box().center());
   const PhantomAnatomy anatomy;
   ImageFormation formation(ImageFormationOptions(), exposures.setup.intensity, 1);
   std::mt19937 random(1);
@@ -95,14 +130,14 @@ Subject phantomSubject(int count)
   for (int n = 0; n < count; ++n)
   {
     const double angle = 4.0 * kDegree * share(random);
-    const RigidTransform gold =
-        subject.moved(randomTwist(random, angle, 12.0 * share(random)), exposures.setup.room_from_patient);
-    const RigidTransform rest = subject.moved(randomTwist(random, kRestAngle, kRestTranslation), gold);
+    const RigidTransform gold = subject.moved(randomTwist(random, angle, 12.0 * share(random)), start);
+    const RigidTransform rest = subject.moved(randomTwist(random, what.rest_degrees * kDegree, what.rest_mm), gold);
     std::vector<cv::Mat> images;
     for (std::size_t d = 0; d < exposures.setup.detectors.size(); ++d)
     {
       cv::Mat soft, bone, counts;
-      anatomy.materials(exposures.setup.detectors[d], { gold, rest }, soft, bone);
+      anatomy.materials(exposures.setup.detectors[d],
+                        what.target == "c6" ? BodyPoses{ rest, gold } : BodyPoses{ gold, rest }, soft, bone);
       formation.form(soft, bone, static_cast<int>(d), n, counts);
       images.push_back(counts);
     }
@@ -111,6 +146,49 @@ Subject phantomSubject(int count)
     progress(n + 1, count);
   }
   return subject;
+}
+
+/// Draws the CT's axial and sagittal slice through the target's centre, the mask's weight in red, the box in yellow.
+void drawMask(const Subject& subject, const TargetMask& mask, const std::string& path)
+{
+  constexpr double kPixel = 0.5;  // [mm]
+  constexpr int kEdge = 280;
+  const Eigen::Affine3d ct_index = subject.ct.grid.patient_from_index.inverse();
+  const Eigen::Affine3d mask_index = mask.grid.patient_from_index.inverse();
+  const auto voxel = [](const VolumeGrid& grid, const Eigen::Vector3d& index)
+  {
+    const Eigen::Vector3i nearest = index.array().round().cast<int>();
+    const bool inside = nearest.minCoeff() >= 0 && (nearest.array() < grid.size.array()).all();
+    return inside ? static_cast<std::ptrdiff_t>(grid.offset(nearest.x(), nearest.y(), nearest.z())) : -1;
+  };
+  cv::Mat picture(kEdge, 2 * kEdge, CV_8UC3);
+  for (int row = 0; row < kEdge; ++row)
+  {
+    for (int column = 0; column < 2 * kEdge; ++column)
+    {
+      const double across = kPixel * (column % kEdge - kEdge / 2);
+      const double down = kPixel * (row - kEdge / 2);
+      const Eigen::Vector3d point = subject.box().center() + (column < kEdge ? Eigen::Vector3d(across, down, 0.0)
+                                                                             : Eigen::Vector3d(0.0, across, -down));
+      const std::ptrdiff_t in_ct = voxel(subject.ct.grid, ct_index * point);
+      const std::ptrdiff_t in_mask = voxel(mask.grid, mask_index * point);
+      const double grey = in_ct < 0 ? 0.0 : std::clamp((subject.ct.hu[in_ct] + 300.0) / 1200.0, 0.0, 1.0);
+      const double weight = in_mask < 0 ? 0.0 : mask.values[in_mask];
+      Eigen::AlignedBox3d inner = subject.box();
+      inner.min().array() += kPixel;
+      inner.max().array() -= kPixel;
+      const bool edge = subject.box().contains(point) && !inner.contains(point);
+      picture.at<cv::Vec3b>(row, column) =
+          edge ? cv::Vec3b(0, 220, 220)
+               : cv::Vec3b(cv::saturate_cast<std::uint8_t>(255.0 * grey * (1.0 - 0.6 * weight)),
+                           cv::saturate_cast<std::uint8_t>(255.0 * grey * (1.0 - 0.6 * weight)),
+                           cv::saturate_cast<std::uint8_t>(255.0 * (grey + 0.35 * weight * (1.0 - grey))));
+    }
+  }
+  if (!cv::imwrite(path, picture))
+  {
+    throw std::runtime_error("cannot write " + path);
+  }
 }
 
 /// One registration.
@@ -328,8 +406,19 @@ int benchmarkRegistration(const po::variables_map& arguments)
   options.optimiser = optimiserNamed(arguments["optimiser"].as<std::string>());
   options.similarity = arguments["similarity"].as<std::string>();
   options.projector = projectorNamed(arguments["projector"].as<std::string>());
-  Subject subject =
-      phantom ? phantomSubject(kPhantomExposures) : sequenceSubject(arguments["SEQUENCE_DIR"].as<std::string>());
+  const PhantomCase phantom_case{ arguments["target"].as<std::string>(), arguments["room"].as<std::string>(),
+                                  arguments["voxel"].as<double>(), arguments["rest_mm"].as<double>(),
+                                  arguments["rest_degrees"].as<double>() };
+  if (!(phantom_case.voxel >= 0.5 && phantom_case.voxel <= 4.0))
+  {
+    throw std::invalid_argument("voxel is " + std::to_string(phantom_case.voxel) + ", expected 0.5 to 4 mm");
+  }
+  Subject subject = phantom ? phantomSubject(kPhantomExposures, phantom_case)
+                            : sequenceSubject(arguments["SEQUENCE_DIR"].as<std::string>());
+  if (arguments.count("mask_picture") != 0)
+  {
+    drawMask(subject, targetMaskFromBone(subject.ct, subject.box()), arguments["mask_picture"].as<std::string>());
+  }
   const Registration registration(
       bodies == 1 ? oneBody(subject.ct) : splitBodies(subject.ct, targetMaskFromBone(subject.ct, subject.box())),
       subject.box(), options);
@@ -357,21 +446,29 @@ int main(int argc, char** argv)
 {
   xray_tracking::CommandLine command_line;
   command_line.usage =
-      "SEQUENCE_DIR | --phantom [--bodies 2] [--starts 200] [--optimiser gauss_newton]\n"
-      "       [--similarity gradient_correlation] [--projector shear_warp] [--json FILE]";
+      "SEQUENCE_DIR | --phantom [--target c4] [--room cyberknife] [--voxel 1] [--rest_mm 4] [--rest_degrees 2]\n"
+      "       [--bodies 2] [--starts 200] [--optimiser gauss_newton]\n"
+      "       [--similarity gradient_correlation] [--projector shear_warp] [--mask_picture FILE] [--json FILE]";
   command_line.description =
       "Registers every exposure from wrong starts, as van de Kraats et al. (IEEE TMI 24(9), 2005): success by the "
       "start's\n"
       "distance, capture range, error and time; and from starts of 2 mm and 1 degree, 5 and 3, 10 and 5. X-rays are a\n"
       "sequence's, or closed-form ones of the neck phantom with scatter and noise, whose rest moves otherwise.";
   command_line.optional_arguments = { "SEQUENCE_DIR" };
+  const xray_tracking::PhantomCase usual;
   command_line.options.add_options()("phantom", "the neck phantom instead of a sequence")(
+      "target", po::value<std::string>()->default_value(usual.target), "the phantom's vertebra: c3, c4, c5 or c6")(
+      "room", po::value<std::string>()->default_value(usual.room), "its detectors: cyberknife or orthogonal_linac")(
+      "voxel", po::value<double>()->default_value(usual.voxel), "of its CT, in plane [mm]")(
+      "rest_mm", po::value<double>()->default_value(usual.rest_mm), "how far its rest is from the CT's posture")(
+      "rest_degrees", po::value<double>()->default_value(usual.rest_degrees), "the same")(
       "bodies", po::value<int>()->default_value(2), "1 or 2")("starts", po::value<int>()->default_value(200),
                                                               "spread over all distances, 8 or more")(
       "optimiser", po::value<std::string>()->default_value("gauss_newton"), "gauss_newton, bobyqa or nelder_mead")(
       "similarity", po::value<std::string>()->default_value("gradient_correlation"),
       "of the derivative-free optimisers")("projector", po::value<std::string>()->default_value("shear_warp"),
                                            "shear_warp, ray_casting or attenuation_field")(
+      "mask_picture", po::value<std::string>(), "draws the target's mask to this image file")(
       "json", po::value<std::string>(), "writes the figures to this file");
   return xray_tracking::runCommand(argc, argv, command_line, xray_tracking::benchmarkRegistration);
 }

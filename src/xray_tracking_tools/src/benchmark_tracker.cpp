@@ -1,10 +1,10 @@
-#include <chrono>
-#include <cmath>
-#include <cstdio>
-#include <limits>
+#include <fstream>
+#include <iostream>
+#include <set>
 
-#include "xray_tracking_core/evaluation/evaluation.h"
-#include "xray_tracking_hyperplane_tracker/hyperplane_tracker.h"
+#include "benchmark_tracker/contestant.h"
+#include "benchmark_tracker/follow.h"
+#include "benchmark_tracker/scene_benchmark.h"
 #include "xray_tracking_tools/command_line.h"
 #include "xray_tracking_tools/exposure_set.h"
 
@@ -14,81 +14,113 @@ namespace xray_tracking
 {
 namespace
 {
-constexpr int kTrainings = 3;
-constexpr std::size_t kTrackedFrames = 400;
-
-template <typename Call>
-double secondsOf(Call call)
+KnownSequence knownSequence(const ExposureSet& exposures, std::size_t d)
 {
-  const auto start = std::chrono::steady_clock::now();
-  call();
-  return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
-}
-
-cv::Rect trackedRegion(const TreatmentSetup& setup, const ProjectionGeometry& detector)
-{
+  constexpr int kWindowMargin = 75;
+  const TreatmentSetup& setup = exposures.setup;
+  const ProjectionGeometry& detector = setup.detectors[d];
   const auto region = setup.regions.find(detector.name());
-  return region != setup.regions.end() ? region->second : projectedTargetRegion(setup, detector);
+  KnownSequence sequence;
+  sequence.view.intensity = setup.intensity;
+  sequence.view.region = region != setup.regions.end() ? region->second : projectedTargetRegion(setup, detector);
+  const cv::Point margin(kWindowMargin, kWindowMargin);
+  sequence.view.window = cv::Rect(sequence.view.region.tl() - margin, sequence.view.region.br() + margin) &
+                         cv::Rect(cv::Point(), exposures.images[0][d].size());
+  const Eigen::Vector3d centre = setup.targetCentre();
+  for (std::size_t k = 0; k < exposures.images.size(); ++k)
+  {
+    sequence.frames.push_back(makeFrame(exposures.images[k][d], sequence.view));
+    sequence.displacements.push_back(detector.project(exposures.room_from_patient[k] * centre) -
+                                     detector.project(exposures.room_from_patient[0] * centre));
+  }
+  return sequence;
 }
 
-void benchmarkDetector(const ExposureSet& exposures, std::size_t d)
+/// Of every model, those without one once.
+Contestants makeAllContestants(const IntensityModel& intensity)
 {
-  const ProjectionGeometry& detector = exposures.setup.detectors[d];
-  const cv::Rect region = trackedRegion(exposures.setup, detector);
-  HyperplaneTracker tracker(HyperplaneTrackerOptions(), exposures.setup.intensity);
-
-  std::vector<double> training_s;
-  for (int i = 0; i < kTrainings; ++i)
+  Contestants all;
+  std::set<std::string> names;
+  for (const MotionModel model : { MotionModel::TRANSLATION, MotionModel::EUCLIDEAN, MotionModel::AFFINE })
   {
-    training_s.push_back(secondsOf([&] { tracker.train(exposures.images[0][d], region); }));
-  }
-
-  const Eigen::Vector3d centre = exposures.setup.targetCentre();
-  const std::size_t count = exposures.images.size();
-  std::vector<double> tracking_s;
-  double squares = 0.0;
-  int found = 0, judged = 0;
-  for (std::size_t k = 0; k < std::max(kTrackedFrames, count); ++k)
-  {
-    const std::size_t index = backAndForth(k, count);
-    tracking_s.push_back(secondsOf([&] { tracker.track(exposures.images[index][d]); }));
-    if (k == 0 || k >= count)  // errors are those of one pass after the training exposure
+    for (auto& contestant : makeContestants(model, intensity))
     {
-      continue;
-    }
-    ++judged;
-    if (tracker.result().status == TrackResult::Status::TRACKED)
-    {
-      ++found;
-      if (!exposures.room_from_patient.empty())
+      if (names.insert(contestant->name()).second)
       {
-        const Eigen::Vector2d gold = detector.project(exposures.room_from_patient[index] * centre) -
-                                     detector.project(exposures.room_from_patient[0] * centre);
-        squares += (tracker.result().displacement - gold).squaredNorm();
+        all.push_back(std::move(contestant));
       }
     }
   }
-  const bool has_error = found > 0 && !exposures.room_from_patient.empty();
-  std::printf("%-14s %4d x %-4d %12.1f %11.1f %11.1f %7d / %-4d %10.3f\n", detector.name().c_str(), region.width,
-              region.height, 1e3 * quantile(training_s, 0.5), 1e6 * quantile(tracking_s, 0.5),
-              1e6 * quantile(tracking_s, 0.99), judged - found, judged,
-              has_error ? std::sqrt(squares / found) : std::numeric_limits<double>::quiet_NaN());
+  return all;
+}
+
+BenchmarkTable benchmarkExposures(const std::string& path)
+{
+  // What surrounds the target draws any 2D tracker away by pixels; beyond, it follows something else.
+  constexpr double kLostError = 10.0;
+  const ExposureSet exposures = loadExposureSet(path);
+  if (exposures.room_from_patient.empty())
+  {
+    throw std::runtime_error(path + ": has no gold standard to judge by");
+  }
+  BenchmarkTable table;
+  table.title = path + ", " + std::to_string(exposures.images.size() - 1) + " exposures, against the projected target";
+  const Contestants contestants = makeAllContestants(exposures.setup.intensity);
+  for (const auto& contestant : contestants)
+  {
+    table.rows.emplace_back(contestant->name(), std::vector<double>());
+  }
+  for (std::size_t d = 0; d < exposures.setup.detectors.size(); ++d)
+  {
+    const std::string& name = exposures.setup.detectors[d].name();
+    table.columns.insert(table.columns.end(), { name + " us", name + " px", name + " lost" });
+    const KnownSequence sequence = knownSequence(exposures, d);
+    for (std::size_t i = 0; i < contestants.size(); ++i)
+    {
+      const FollowScore score = follow(*contestants[i], { sequence }, kLostError);
+      std::vector<double>& row = table.rows[i].second;
+      row.insert(row.end(), { score.median_us, score.rmse, static_cast<double>(score.lost) });
+    }
+  }
+  return table;
 }
 
 int benchmarkTracker(const po::variables_map& arguments)
 {
-  const bool phantom = arguments.count("phantom") != 0;
-  if (phantom == (arguments.count("SEQUENCE_DIR") != 0))
+  cv::setNumThreads(1);
+  std::vector<BenchmarkTable> tables;
+  const auto report = [&tables](const BenchmarkTable& table)
   {
-    throw std::invalid_argument("expected either SEQUENCE_DIR or --phantom");
+    printTable(std::cout, table);
+    tables.push_back(table);
+  };
+  std::cout << "One thread; median processor time a frame; the others' frames are prepared for them before the clock "
+               "starts."
+            << std::endl;
+  const std::string phantom = coreConfigPath("phantom_neck.yaml");
+  const PlanarScene scene(phantom);
+  for (const MotionModel model : { MotionModel::TRANSLATION, MotionModel::EUCLIDEAN, MotionModel::AFFINE })
+  {
+    report(benchmarkModel(scene, model));
   }
-  const ExposureSet exposures =
-      loadExposureSet(phantom ? coreConfigPath("phantom_neck.yaml") : arguments["SEQUENCE_DIR"].as<std::string>());
-  std::printf("%d points, translation, to convergence; one thread\n", HyperplaneTrackerOptions().points);
-  std::printf("detector       region px   training ms   median us      p99 us        lost    RMSE px\n");
-  for (std::size_t d = 0; d < exposures.setup.detectors.size(); ++d)
+  report(benchmarkConditions(scene));
+  report(benchmarkExposures(phantom));
+  if (arguments.count("sequences") != 0)
   {
-    benchmarkDetector(exposures, d);
+    for (const std::string& path : arguments["sequences"].as<std::vector<std::string>>())
+    {
+      report(benchmarkExposures(path));
+    }
+  }
+  if (arguments.count("json") != 0)
+  {
+    const std::string path = arguments["json"].as<std::string>();
+    std::ofstream file(path);
+    writeJson(file, tables);
+    if (!file.flush())
+    {
+      throw std::runtime_error(path + ": cannot be written");
+    }
   }
   return 0;
 }
@@ -98,12 +130,14 @@ int benchmarkTracker(const po::variables_map& arguments)
 int main(int argc, char** argv)
 {
   xray_tracking::CommandLine command_line;
-  command_line.usage = "SEQUENCE_DIR | --phantom";
+  command_line.usage = "[--sequences DIR ...] [--json FILE]";
   command_line.description =
-      "Time and error of the tracker with its default options in every view: training, one track() to convergence, "
-      "and\n"
-      "the RMS distance of its displacements from the projected gold standard's.";
-  command_line.optional_arguments = { "SEQUENCE_DIR" };
-  command_line.options.add_options()("phantom", "the neck phantom instead of a sequence");
+      "The tracker beside OpenCV's and (if the build has it) ViSP's: times, errors, lost exposures and capture ranges "
+      "on "
+      "a\n"
+      "region of the neck phantom with exactly known motion, on the phantom's exposures and on sequences.";
+  command_line.options.add_options()("sequences", po::value<std::vector<std::string>>()->multitoken(),
+                                     "folders of sequences with a gold standard")("json", po::value<std::string>(),
+                                                                                  "writes the figures to this file");
   return xray_tracking::runCommand(argc, argv, command_line, xray_tracking::benchmarkTracker);
 }

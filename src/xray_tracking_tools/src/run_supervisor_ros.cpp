@@ -113,6 +113,7 @@ RunSupervisorRos::RunSupervisorRos(ros::NodeHandle nh, ros::NodeHandle pnh)
                                 "', expected tracking, registration or tracking_and_registration");
   }
   registers_ = method != "tracking";
+  registers_tracks_ = method == "tracking_and_registration";
   playback_ = start_mode == "playback";
   start_service_ = nh.resolveName(pnh.param<std::string>("start_service", "start"));
 
@@ -238,6 +239,7 @@ void RunSupervisorRos::motionCallback(const PatientMotion& message)
   {
     return;
   }
+  not_ready_ += message.state == PatientMotion::WAITING ? 1 : 0;
   last_event_ = ros::WallTime::now();
   printProgress(message);
 }
@@ -252,7 +254,8 @@ void RunSupervisorRos::refinedPoseCallback(const xray_tracking_msgs::RefinedPose
 
 std::size_t RunSupervisorRos::answered() const
 {
-  return registers_ ? std::min(motions_.size(), refined_.size()) : motions_.size();
+  return registers_ ? std::min(motions_.size(), refined_.size() + (registers_tracks_ ? not_ready_ : 0))
+                    : motions_.size();
 }
 
 void RunSupervisorRos::printProgress(const PatientMotion& message)

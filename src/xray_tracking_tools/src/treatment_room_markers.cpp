@@ -32,6 +32,8 @@ const std_msgs::ColorRGBA kBeamColour = colour(1.0F, 0.85F, 0.2F, 0.25F);
 const std_msgs::ColorRGBA kIsocentreColour = colour(1.0F, 1.0F, 1.0F, 1.0F);
 const std_msgs::ColorRGBA kTargetColour = colour(0.9F, 0.3F, 0.9F, 1.0F);
 const std_msgs::ColorRGBA kTrailColour = colour(0.3F, 0.8F, 1.0F, 1.0F);
+const std_msgs::ColorRGBA kOpenColour = colour(0.2F, 0.9F, 0.3F, 1.0F);
+const std_msgs::ColorRGBA kHoldColour = colour(1.0F, 0.2F, 0.2F, 1.0F);
 
 Marker makeMarker(const std::string& ns, int id, int type, const std_msgs::ColorRGBA& rgba,
                   const std::string& frame = kRoomFrame)
@@ -119,11 +121,12 @@ std_msgs::ColorRGBA stateColour(std::uint8_t state)
   switch (state)
   {
     case TrackedRegion::TRACKING:
-      return colour(0.2F, 0.9F, 0.3F, 1.0F);
+      return kOpenColour;
+    case TrackedRegion::DEGRADED:
     case TrackedRegion::TRAINING:
       return colour(1.0F, 0.8F, 0.1F, 1.0F);
     default:
-      return colour(1.0F, 0.2F, 0.2F, 1.0F);
+      return kHoldColour;
   }
 }
 
@@ -182,19 +185,28 @@ std::vector<Marker> staticMarkers(const TreatmentSetup& setup)
 
 std::vector<Marker> regionMarkers(const ProjectionGeometry& detector, int id, const TrackedRegion& region)
 {
+  const Eigen::Vector2d size(region.region.width, region.region.height);
+  const Eigen::Vector2d reference =
+      Eigen::Vector2d(region.region.x_offset, region.region.y_offset) + 0.5 * (size - Eigen::Vector2d::Ones());
   Eigen::Vector2d displacement(region.displacement_x, region.displacement_y);
-  if (region.state != TrackedRegion::TRACKING || !displacement.allFinite())
+  Eigen::Matrix2d linear = Eigen::Map<const Eigen::Matrix<double, 2, 2, Eigen::RowMajor>>(region.linear.data());
+  const bool found = region.state == TrackedRegion::TRACKING || region.state == TrackedRegion::DEGRADED;
+  if (!found || !displacement.allFinite() || !linear.allFinite())
   {
     displacement.setZero();
+    linear.setIdentity();
   }
-  const Eigen::Vector2d size(region.region.width, region.region.height);
-  const Eigen::Vector2d first = Eigen::Vector2d(region.region.x_offset, region.region.y_offset) + displacement;
-  const Eigen::Vector2d centre = first + 0.5 * (size - Eigen::Vector2d::Ones());
+  const Eigen::Vector2d centre = reference + displacement;
   const std_msgs::ColorRGBA rgba = stateColour(region.state);
 
   Marker outline = makeMarker("regions", id, Marker::LINE_STRIP, rgba);
   outline.scale.x = 0.0015;
-  addClosedLine(panelCorners(detector, first, size), outline);
+  std::vector<Eigen::Vector3d> corners;
+  for (const Eigen::Vector2d& sign : { Eigen::Vector2d(-1.0, -1.0), { 1.0, -1.0 }, { 1.0, 1.0 }, { -1.0, 1.0 } })
+  {
+    corners.push_back(detector.pixelPosition(centre + linear * (0.5 * size.cwiseProduct(sign))));
+  }
+  addClosedLine(corners, outline);
   Marker ray = makeRay("region_rays", id, detector, centre, rgba);
   if (region.state == TrackedRegion::UNTRAINED)
   {
@@ -213,5 +225,14 @@ Marker trailMarker(const std::vector<geometry_msgs::Point>& points)
     trail.action = Marker::DELETE;
   }
   return trail;
+}
+
+Marker gateMarker(bool open, const std::string& why)
+{
+  Marker marker = makeMarker("beam_gate", 0, Marker::TEXT_VIEW_FACING, open ? kOpenColour : kHoldColour);
+  marker.pose.position.z = 0.3;
+  marker.scale.z = 0.04;
+  marker.text = (open ? "beam gate open: " : "HOLD: ") + why;
+  return marker;
 }
 }  // namespace xray_tracking

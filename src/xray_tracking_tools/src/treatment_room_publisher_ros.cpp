@@ -8,6 +8,11 @@
 
 namespace xray_tracking
 {
+namespace
+{
+constexpr double kGateSilence = 0.5;  // [s]; it comes every 20 ms
+}  // namespace
+
 TreatmentRoomPublisherRos::TreatmentRoomPublisherRos(ros::NodeHandle nh, ros::NodeHandle pnh) : nh_(nh)
 {
   try
@@ -35,6 +40,7 @@ void TreatmentRoomPublisherRos::start(const ros::NodeHandle& pnh)
   setup_ = loadTreatmentSetup(setup_file);
   trail_length_ = trail_length;
   static_markers_ = staticMarkers(setup_);
+  gate_marker_ = gateMarker(false, "nothing on beam_gate");
   broadcaster_.sendTransform(staticTransforms(setup_));
 
   // Ten times a second is enough for the eye; a marker array for each message of each detector would load RViz.
@@ -47,6 +53,7 @@ void TreatmentRoomPublisherRos::start(const ros::NodeHandle& pnh)
         setup_.detectors[d].name() + "/tracked_region", 10,
         [this, d](const xray_tracking_msgs::TrackedRegion::ConstPtr& message) { regionCallback(d, *message); }));
   }
+  gate_subscriber_ = nh_.subscribe("beam_gate", 10, &TreatmentRoomPublisherRos::gateCallback, this);
   pose_subscriber_ = nh_.subscribe("patient_pose", 100, &TreatmentRoomPublisherRos::poseCallback, this);
 }
 
@@ -79,8 +86,25 @@ void TreatmentRoomPublisherRos::regionCallback(std::size_t detector, const xray_
   changed_ = true;
 }
 
+void TreatmentRoomPublisherRos::gateCallback(const xray_tracking_msgs::BeamGate& message)
+{
+  last_gate_ = ros::SteadyTime::now();
+  showGate(message.open != 0, message.text);
+}
+
+void TreatmentRoomPublisherRos::showGate(bool open, const std::string& why)
+{
+  const visualization_msgs::Marker marker = gateMarker(open, why);
+  changed_ = changed_ || marker.text != gate_marker_.text;
+  gate_marker_ = marker;
+}
+
 void TreatmentRoomPublisherRos::publishMarkers()
 {
+  if ((ros::SteadyTime::now() - last_gate_).toSec() > kGateSilence)
+  {
+    showGate(false, "nothing on beam_gate");
+  }
   if (!changed_)
   {
     return;
@@ -94,6 +118,7 @@ void TreatmentRoomPublisherRos::publishMarkers()
     message.markers.insert(message.markers.end(), markers.begin(), markers.end());
   }
   message.markers.push_back(trailMarker(trail_));
+  message.markers.push_back(gate_marker_);
   marker_publisher_.publish(message);
 }
 }  // namespace xray_tracking

@@ -50,14 +50,14 @@ class Graph:
         return subprocess.Popen([executable("run_supervisor"), "__ns:=" + self.ns], stdout=subprocess.PIPE,
                                 stderr=subprocess.STDOUT, universal_newlines=True)
 
-    def expose(self, k, silent=()):
+    def expose(self, k, silent=(), state=PatientMotion.OK):
         stamp = rospy.Time(10 + k)
         for detector in set(self.info) - set(silent):
             self.info[detector].publish(CameraInfo(header=header(stamp)))
             self.region[detector].publish(TrackedRegion(header=header(stamp), state=TrackedRegion.TRACKING,
                                                         correlation=0.975))
         if not silent:
-            motion = PatientMotion(header=header(stamp), state=PatientMotion.OK)
+            motion = PatientMotion(header=header(stamp), state=state)
             motion.translation.x, motion.translation.y = 0.003, 0.004
             self.motion.publish(motion)
 
@@ -123,6 +123,15 @@ class RunSupervisorTest(unittest.TestCase):
         graph.refined.publish(RefinedPose(header=header(rospy.Time(10))))
         time.sleep(2.0)
         self.assertIsNone(process.poll(), "ended before the last refined pose")
+        graph.refined.publish(RefinedPose(header=header(rospy.Time(11))))
+        status, output = self.end_of(process)
+        self.assertEqual(status, 0, output)
+
+        graph = Graph("not_ready")
+        process = graph.supervise(exposures=2, method="tracking_and_registration")
+        self.wait_for(lambda: len(graph.requests) == 1, "call of start")
+        graph.expose(0, state=PatientMotion.WAITING)
+        graph.expose(1)
         graph.refined.publish(RefinedPose(header=header(rospy.Time(11))))
         status, output = self.end_of(process)
         self.assertEqual(status, 0, output)

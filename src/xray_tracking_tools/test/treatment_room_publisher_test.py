@@ -14,7 +14,7 @@ import yaml
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker, MarkerArray
-from xray_tracking_msgs.msg import TrackedRegion
+from xray_tracking_msgs.msg import BeamGate, TrackedRegion
 
 WAIT_S = 60.0
 
@@ -50,6 +50,7 @@ class TreatmentRoomPublisherTest(unittest.TestCase):
         cls.markers = {}
         cls.subscriber = rospy.Subscriber("treatment_room_markers", MarkerArray, cls.take_markers, queue_size=100)
         cls.pose_publisher = rospy.Publisher("patient_pose", PoseWithCovarianceStamped, queue_size=100)
+        cls.gate_publisher = rospy.Publisher("beam_gate", BeamGate, queue_size=100)
         cls.region_publishers = {name: rospy.Publisher(name + "/tracked_region", TrackedRegion, queue_size=100)
                                  for name in cls.detectors}
         cls.wait_for(lambda: cls.markers, "markers")
@@ -126,7 +127,8 @@ class TreatmentRoomPublisherTest(unittest.TestCase):
 
     def test_tracked_regions(self):
         for i, name in enumerate(self.detectors):
-            region = TrackedRegion(state=TrackedRegion.TRACKING, displacement_x=3.5, displacement_y=-2.25)
+            region = TrackedRegion(state=TrackedRegion.TRACKING, model=TrackedRegion.AFFINE, displacement_x=3.5,
+                                   displacement_y=-2.25, linear=[0.9, -0.2, 0.3, 1.1])
             region.region.x_offset, region.region.y_offset = 100, 120
             region.region.width, region.region.height = 51, 31
             self.region_publishers[name].publish(region)
@@ -136,8 +138,14 @@ class TreatmentRoomPublisherTest(unittest.TestCase):
             source, centre = self.points(*key)
             np.testing.assert_allclose(source, 1e-3 * self.detectors[name]["source_mm"], atol=1e-9)
             np.testing.assert_allclose(centre, self.pixel(name, 125 + 3.5, 135 - 2.25), atol=2e-6)
-            np.testing.assert_allclose(self.points("regions", i)[2], self.pixel(name, 150.5 + 3.5, 150.5 - 2.25),
-                                       atol=2e-6)
+            # The last corner, half of 51 x 31 px from the centre before the motion.
+            corner = (128.5 + 0.9 * 25.5 - 0.2 * 15.5, 132.75 + 0.3 * 25.5 + 1.1 * 15.5)
+            np.testing.assert_allclose(self.points("regions", i)[2], self.pixel(name, *corner), atol=2e-6)
+
+            region.state = TrackedRegion.DEGRADED
+            self.region_publishers[name].publish(region)
+            self.wait_for(lambda: self.markers[key].color.r > 0.5 and self.markers[key].color.g > 0.5, "yellow ray")
+            np.testing.assert_allclose(self.points("regions", i)[2], self.pixel(name, *corner), atol=2e-6)
 
             region.state, region.displacement_x = TrackedRegion.LOST, math.nan
             self.region_publishers[name].publish(region)
@@ -175,6 +183,24 @@ class TreatmentRoomPublisherTest(unittest.TestCase):
         self.publish_pose(50, 0.050)
         self.publish_pose(51, 0.051)
         self.wait_for(lambda: trail_is([0.050, 0.051]), "new trail after time has jumped back")
+
+    def test_beam_gate(self):
+        def shows(green, word):
+            marker = self.markers[("beam_gate", 0)]
+            return (marker.color.g > marker.color.r) == green and word in marker.text
+
+        self.wait_for(lambda: self.gate_publisher.get_num_connections() > 0, "a subscriber of beam_gate")
+        self.wait_for(lambda: shows(False, "nothing on beam_gate"), "hold before anything came")
+
+        def shows_when_sent(green, word, message):
+            self.gate_publisher.publish(message)
+            return shows(green, word)
+
+        self.wait_for(lambda: shows_when_sent(True, "all well", BeamGate(open=True, text="all well")), "open gate")
+        self.wait_for(lambda: shows_when_sent(False, "too far", BeamGate(reason=BeamGate.DISPLACED, text="too far")),
+                      "closed gate")
+        self.wait_for(lambda: shows_when_sent(True, "all well", BeamGate(open=True, text="all well")), "open gate")
+        self.wait_for(lambda: shows(False, "nothing on beam_gate"), "hold as nothing comes any more")
 
     def test_bad_setup_is_survived(self):
         names = ["/bad/no_file", "/bad/not_a_setup", "/bad/no_parameter", "/bad/bad_trail"]

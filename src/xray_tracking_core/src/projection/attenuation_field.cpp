@@ -13,7 +13,7 @@ namespace xray_tracking
 namespace
 {
 constexpr std::size_t kBucket = 4;  // entries
-constexpr int kCellBits = 14;
+constexpr int kCellBits = 15;
 
 /// A bijection that spreads keys evenly (the finaliser of MurmurHash3).
 std::uint64_t mixed(std::uint64_t key)

@@ -1,6 +1,7 @@
 #include "xray_tracking_core/volume/resampling.h"
 
 #include <algorithm>
+#include <utility>
 
 #include <tbb/parallel_for.h>
 
@@ -45,12 +46,12 @@ ScalarVolume halved(const ScalarVolume& volume)
   return half;
 }
 
-ScalarVolume filtered(const ScalarVolume& volume, const Eigen::Vector3d& variance)
+ScalarVolume filtered(ScalarVolume volume, const Eigen::Vector3d& variance)
 {
-  const Eigen::Vector3i& size = volume.grid.size;
+  const Eigen::Vector3i size = volume.grid.size;
   const Eigen::Vector3d weight = 0.5 * variance.array() / volume.grid.spacing().array().square();
-  ScalarVolume from = volume;
-  ScalarVolume to = volume;
+  ScalarVolume from = std::move(volume);
+  ScalarVolume to{ from.grid, std::vector<float>(from.values.size()) };
   for (int axis = 0; axis < 3; ++axis)
   {
     const float beside = static_cast<float>(weight[axis]);

@@ -9,11 +9,18 @@
 
 namespace xray_tracking
 {
-/// Hands items from one thread to another in order; when it is full, the oldest item is dropped and counted.
+/// Hands items from one thread to another in order. Dropped and counted are the oldest one when it is full, and, when
+/// the taker is too slow, all but the newest.
 template <typename Item>
 class BoundedQueue
 {
 public:
+  struct Drops
+  {
+    std::size_t full = 0;     ///< because the queue was
+    std::size_t overdue = 0;  ///< because a newer one was there and the next in turn was overdue
+  };
+
   explicit BoundedQueue(std::size_t capacity) : capacity_(capacity) {}
 
   void push(Item item)
@@ -23,21 +30,30 @@ public:
       if (items_.size() >= capacity_)
       {
         items_.pop_front();
-        ++dropped_;
+        ++drops_.full;
       }
       items_.push_back(std::move(item));
     }
     changed_.notify_one();
   }
 
-  /// Waits for the next item. @return nothing once the queue is closed
-  std::optional<Item> pop()
+  /// Waits for the next item, or the newest if the next one is overdue.
+  /// @param overdue whether an item has waited for too long; of items behind one another the later ones are as well or
+  ///        must give way to the newest
+  /// @return nothing once the queue is closed
+  template <typename Overdue>
+  std::optional<Item> pop(const Overdue& overdue)
   {
     std::unique_lock<std::mutex> lock(mutex_);
     changed_.wait(lock, [this] { return closed_ || !items_.empty(); });
     if (closed_)
     {
       return std::nullopt;
+    }
+    if (items_.size() > 1 && overdue(items_.front()))
+    {
+      drops_.overdue += items_.size() - 1;
+      items_.erase(items_.begin(), items_.end() - 1);
     }
     std::optional<Item> item(std::move(items_.front()));
     items_.pop_front();
@@ -53,10 +69,10 @@ public:
     changed_.notify_all();
   }
 
-  std::size_t dropped() const
+  Drops drops() const
   {
     const std::lock_guard<std::mutex> lock(mutex_);
-    return dropped_;
+    return drops_;
   }
 
 private:
@@ -64,7 +80,7 @@ private:
   mutable std::mutex mutex_;
   std::condition_variable changed_;
   std::deque<Item> items_;
-  std::size_t dropped_ = 0;
+  Drops drops_;
   bool closed_ = false;
 };
 }  // namespace xray_tracking

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <atomic>
 #include <cstdint>
 #include <memory>
 #include <mutex>
@@ -8,25 +9,29 @@
 #include <thread>
 
 #include <diagnostic_updater/diagnostic_updater.h>
+#include <dynamic_reconfigure/server.h>
 #include <ros/callback_queue.h>
 #include <ros/ros.h>
 #include <sensor_msgs/Image.h>
+#include <std_srvs/Trigger.h>
 
 #include <xray_tracking_msgs/TrackedRegion.h>
 #include <xray_tracking_msgs/TrainRegion.h>
 
+#include "xray_tracking_hyperplane_tracker/HyperplaneTrackerConfig.h"
 #include "xray_tracking_hyperplane_tracker/bounded_queue.h"
-#include "xray_tracking_hyperplane_tracker/hyperplane_tracker.h"
+#include "xray_tracking_hyperplane_tracker/recovering_tracker.h"
 #include "xray_tracking_hyperplane_tracker/tracker_parameters.h"
 #include "xray_tracking_hyperplane_tracker/training_mailbox.h"
 
 namespace xray_tracking
 {
-/// Tracks a region in one detector's exposures. Topics, service and parameters: README.md.
+/// Tracks a region in one detector's exposures. Topics, services and parameters: README.md.
 ///
-/// Exposures go through a bounded queue to a worker thread, which alone learns templates and tracks: callbacks never
-/// wait for it, and every exposure is answered in order, those that arrived during a training after it. The service has
-/// a callback queue and threads of its own.
+/// Exposures go, shared and not copied, through a bounded queue to a worker thread, which alone learns templates and
+/// tracks: callbacks never wait for it. Every exposure is answered in order, those that arrived during a training after
+/// it. Only where the worker cannot keep up, that is, an exposure has waited for `max_wait` since, it goes on with the
+/// newest and counts the others. The training services have a callback queue and threads of their own.
 ///
 /// Parameters or a setup file that it cannot work with are reported in the log and in diagnostics; exposures are then
 /// answered as untrained.
@@ -39,8 +44,10 @@ public:
   HyperplaneTrackerRos& operator=(const HyperplaneTrackerRos&) = delete;
 
 private:
+  using Config = xray_tracking_hyperplane_tracker::HyperplaneTrackerConfig;
   using TrackedRegion = xray_tracking_msgs::TrackedRegion;
   using TrainRegion = xray_tracking_msgs::TrainRegion;
+  using Trigger = std_srvs::Trigger;
 
   struct Arrival
   {
@@ -53,46 +60,79 @@ private:
     std::uint8_t state = TrackedRegion::UNTRAINED;
     std::string fault;  ///< of the configuration or the last exposure; empty: none
     double correlation = 0.0;
+    double quality = 0.0;
     double cpu_ms = 0.0;
     double wall_ms = 0.0;
+    double longest_wall_ms = 0.0;  ///< since the last report
     std::size_t exposures = 0;
     std::size_t stale = 0;  ///< exposures whose stamp was not newer
     std::optional<ros::SteadyTime> last_arrival;
   };
+  /// What the last report was, for what has happened since.
+  struct Report
+  {
+    ros::SteadyTime time;
+    std::size_t exposures = 0;
+    std::size_t overdue = 0;
+  };
 
   void imageCb(const sensor_msgs::ImageConstPtr& image);
   bool trainRegionCb(TrainRegion::Request& request, TrainRegion::Response& response);
+  bool retrainCb(Trigger::Request& request, Trigger::Response& response);
+  bool resetCb(Trigger::Request& request, Trigger::Response& response);
+  /// Takes over what is safe to change; a contradiction is refused: `config` is then as it was.
+  void reconfigureCb(Config& config);
+  TrackerParameters settings() const;
   void diagnose(diagnostic_updater::DiagnosticStatusWrapper& status);
 
   // All below run in the worker thread.
   void work();
   void configure();
+  void makeTracker();
+  void adoptSettings();
   void process(const Arrival& arrival);
   /// @return whether the exposure is to be answered; forgets the template when time jumps back
   bool acceptStamp(const ros::Time& stamp);
+  void startAnew();
   /// Learns a template if there is reason to and tracks. @return what went wrong; empty: nothing
   std::string answer(const sensor_msgs::ImageConstPtr& image, TrackedRegion& result);
-  /// Answers a request by training on the image.
-  void serve(TrainingRequest& request, const cv::Mat& image, const ros::Time& stamp);
+  TrainRegion::Response serveTraining(const cv::Rect& region, const cv::Mat& pixels,
+                                      const sensor_msgs::ImageConstPtr& image);
+  TrainRegion::Response serveRetraining(const cv::Mat& pixels, const TrackedRegion& result);
   /// @return what is wrong with the region or the image; empty: trained
-  std::string train(const cv::Mat& image, const cv::Rect& region, const ros::Time& stamp);
-  void track(const cv::Mat& image, TrackedRegion& result);
+  std::string train(const cv::Mat& pixels, const cv::Rect& region, const sensor_msgs::ImageConstPtr& image);
+  void track(const cv::Mat& pixels, TrackedRegion& result);
+  void tell(const TrackedRegion& result, const std::string& fault);
   void publishOverlay(const sensor_msgs::ImageConstPtr& image, const TrackedRegion& result);
 
   ros::NodeHandle nh_;
   ros::NodeHandle pnh_;
   ros::CallbackQueue service_queue_;
-  TrackerParameters parameters_;
+  mutable std::mutex settings_mutex_;
+  TrackerParameters settings_;  ///< of which the thresholds, times and debug options may change
+  std::atomic<bool> settings_changed_{ false };
+  Config last_config_ = Config::__getDefault__();
   std::string configuration_fault_;  ///< of parameters or setup file; empty: none
 
   std::unique_ptr<BoundedQueue<Arrival>> arrivals_;
   TrainingMailbox requests_;
+  std::atomic<bool> reset_asked_{ false };
+  const sensor_msgs::Image* last_received_ = nullptr;  ///< of the image callback
+  ros::Time last_received_stamp_;
   mutable std::mutex snapshot_mutex_;
   Snapshot snapshot_;
+  Report last_report_;
 
-  std::optional<HyperplaneTracker> tracker_;
-  std::optional<cv::Rect> region_;  ///< to train on while there is no template
-  ros::Time reference_stamp_;
+  // The worker's.
+  TrackerParameters parameters_;
+  IntensityModel intensity_;
+  std::optional<RecoveringTracker> tracker_;
+  HyperplaneTracker* hyperplane_ = nullptr;       ///< the tracker, if that is the method
+  TemplateRegistration* registration_ = nullptr;  ///< else this one
+  std::optional<cv::Rect> configured_region_;     ///< of parameters or setup file
+  std::optional<cv::Rect> region_;                ///< to train on while there is no template
+  sensor_msgs::ImageConstPtr reference_;          ///< that the template was trained on
+  ros::SteadyTime training_end_;
   ros::Time last_stamp_;
   std::string logged_fault_;
   std::uint8_t logged_state_ = TrackedRegion::UNTRAINED;
@@ -101,6 +141,9 @@ private:
   ros::Publisher overlay_publisher_;
   ros::Subscriber image_subscriber_;
   ros::ServiceServer train_service_;
+  ros::ServiceServer retrain_service_;
+  ros::ServiceServer reset_service_;
+  std::unique_ptr<dynamic_reconfigure::Server<Config>> reconfigure_server_;
   diagnostic_updater::Updater updater_;
   ros::SteadyTimer timer_;
   std::unique_ptr<ros::AsyncSpinner> service_spinner_;

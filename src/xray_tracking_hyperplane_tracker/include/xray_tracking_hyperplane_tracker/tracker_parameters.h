@@ -7,22 +7,38 @@
 #include <opencv2/core.hpp>
 
 #include "xray_tracking_hyperplane_tracker/hyperplane_tracker.h"
+#include "xray_tracking_hyperplane_tracker/template_registration.h"
 
 namespace xray_tracking
 {
+/// How a region is followed.
+enum class TrackingMethod
+{
+  HYPERPLANE,           ///< HyperplaneTracker
+  NMI,                  ///< TemplateRegistration, by normalised mutual information
+  GRADIENT_CORRELATION  ///< TemplateRegistration
+};
+
 /// The parameters of the node (README.md).
 struct TrackerParameters
 {
+  TrackingMethod method = TrackingMethod::HYPERPLANE;
   HyperplaneTrackerOptions tracker;
+  TemplateRegistrationOptions registration;
   std::string detector;            ///< name in the setup file
   std::string setup_file;          ///< path; empty: none
   std::optional<cv::Rect> region;  ///< [px], goes before what the setup file says
   int queue_size = 20;             ///< exposures that wait while a template is learnt
-  double train_timeout = 10.0;     ///< for the exposure that the service train_region waits for [s]
+  double max_wait = 0.5;           ///< of an exposure, after which newer ones go before it [s]
+  double train_timeout = 10.0;     ///< for the exposure that training services wait for [s]
   double image_timeout = 2.0;      ///< without an exposure after which diagnostics say so [s]
+  bool overlay_points = true;      ///< whether the debug image shows residuals
+
+  /// @throws std::invalid_argument naming the parameter, its value and what was expected
+  void validate() const;
 };
 
 /// @param default_detector used if `detector` is not set
-/// @throws std::invalid_argument naming the parameter, its value and what was expected
+/// @throws std::invalid_argument as TrackerParameters::validate
 TrackerParameters readTrackerParameters(const ros::NodeHandle& pnh, const std::string& default_detector);
 }  // namespace xray_tracking

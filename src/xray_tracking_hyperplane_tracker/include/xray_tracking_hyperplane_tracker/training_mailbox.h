@@ -4,6 +4,7 @@
 #include <future>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <string>
 #include <utility>
 
@@ -13,10 +14,10 @@
 
 namespace xray_tracking
 {
-/// A region to learn and where its asker waits for the answer.
+/// What to learn and where its asker waits for the answer.
 struct TrainingRequest
 {
-  cv::Rect region;
+  std::optional<cv::Rect> region;  ///< a new template's; none: learn the one in use again
   std::promise<xray_tracking_msgs::TrainRegion::Response> response;
 };
 
@@ -35,7 +36,7 @@ public:
   }
 
   /// Leaves a request and waits: for as long as the training takes, but no longer than `timeout` [s] for its beginning.
-  Response ask(const cv::Rect& region, double timeout)
+  Response ask(const std::optional<cv::Rect>& region, double timeout)
   {
     const auto mine = std::make_shared<TrainingRequest>();
     mine->region = region;

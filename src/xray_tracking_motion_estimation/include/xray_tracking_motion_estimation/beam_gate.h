@@ -94,8 +94,11 @@ public:
   /// @param now monotonic clock [ns]
   bool tick(std::int64_t now);
 
-  /// A refinement was accepted: what moved the target's displacement by so much [mm] is no motion, and confirms a jump.
-  void refined(const Eigen::Vector3d& correction);
+  /// A refinement was accepted: what moved the target's displacement by `correction` [mm] is no motion. A jump up to
+  /// the refined exposure is confirmed by it.
+  /// @param stamp the refined exposure's [ns]; @param rotation of the target from its planned one by now [rad]
+  /// @return true if reason() has changed
+  bool refined(std::int64_t stamp, const Eigen::Vector3d& correction, double rotation);
 
   /// Time starts again, or the reference is another: as at the start, but for the text.
   bool reset(const std::string& why);
@@ -119,6 +122,8 @@ private:
     std::string text;
   };
   Verdict judge(const GateExposure& exposure) const;
+  /// DISPLACED or NONE.
+  Verdict judgePlace(const Eigen::Vector3d& displacement, double rotation) const;
   bool change(Verdict verdict);
   std::int64_t interval() const;
 
@@ -134,6 +139,6 @@ private:
 
   std::optional<std::pair<std::int64_t, Eigen::Vector3d>> last_place_;  ///< stamp, displacement; latest with a pose
   int good_ = 0;
-  bool jumped_ = false;
+  std::optional<std::int64_t> jump_;  ///< stamp of the latest one that is unconfirmed
 };
 }  // namespace xray_tracking

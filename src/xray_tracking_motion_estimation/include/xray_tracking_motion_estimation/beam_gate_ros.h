@@ -18,7 +18,10 @@ public:
   ~BeamGateRos() { watchdog_.stop(); }
 
   void update(const GateExposure& exposure);
-  void refined(const Eigen::Vector3d& correction) { gate_.refined(correction); }
+  void refined(std::int64_t stamp, const Eigen::Vector3d& correction, double rotation)
+  {
+    logAndPublish(gate_.refined(stamp, correction, rotation));
+  }
   void reset(const std::string& why) { logAndPublish(gate_.reset(why)); }
 
   const BeamGate& gate() const { return gate_; }

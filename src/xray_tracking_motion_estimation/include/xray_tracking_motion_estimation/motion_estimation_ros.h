@@ -14,6 +14,7 @@
 #include <tf2_ros/buffer.h>
 #include <tf2_ros/transform_broadcaster.h>
 #include <tf2_ros/transform_listener.h>
+#include <boost/circular_buffer.hpp>
 
 #include <xray_tracking_msgs/PatientMotion.h>
 #include <xray_tracking_msgs/TrackedRegion.h>
@@ -54,25 +55,31 @@ private:
     std::string reason;
   };
 
+  /// What a view's tracks are relative to.
+  struct Reference
+  {
+    ros::Time template_stamp;          ///< exposure that the template was trained on
+    RigidTransform room_from_patient;  ///< at that exposure, or at the anchor's
+    std::optional<Track> anchor = {};  ///< how the template was tracked in an exposure whose pose was refined
+  };
+
   struct View
   {
     std::string name;
     ros::Subscriber camera_info_subscriber;
     ros::Subscriber tracked_region_subscriber;
     CameraInfoWatch camera_info;
-    RigidTransform room_from_optical;  ///< the one that the estimator uses, if there is one
-    std::optional<std::pair<ros::Time, RigidTransform>> reference;  ///< what the template in use was trained on
-    Doubt doubt;                                                    ///< of the last exposure
-    std::string logged_doubt;                                       ///< while the others made a pose
+    RigidTransform room_from_optical;    ///< the one that the estimator uses, if there is one
+    std::optional<Reference> reference;  ///< of the template in use
+    Doubt doubt;                         ///< of the last exposure
+    std::string logged_doubt;            ///< while the others made a pose
     ros::SteadyTime last_arrival;
-    bool silent = false;  ///< not waited for while two others are there
+    bool silent = false;       ///< not waited for while two others are there
     std::string logged_fault;  ///< of camera_info
   };
 
   void start();
   void trackedRegionCb(const TrackedRegion::ConstPtr& message, std::size_t view);
-  bool refineCb(std_srvs::Trigger::Request& request, std_srvs::Trigger::Response& response);
-  void refinementCb(const ros::SteadyTimerEvent& event);
   void timerCb(const ros::SteadyTimerEvent& event);
 
   // Of the last complete exposure, in exposure_estimation.cpp. What they say to `motion` is why there is no pose.
@@ -86,6 +93,8 @@ private:
   std::string checkGeometry();
   /// Doubts views whose reference exposure's pose is not known.
   void findReferences();
+  /// How a view tracked an exposure, with what it may have moved by between the views. @param offset of its stamp [ns]
+  Track trackOf(std::size_t view, const TrackedRegion& region, std::int64_t offset) const;
   ViewMeasurement measure(std::size_t view) const;
   void judgeConsistency(const MotionEstimate& estimate, PatientMotion& motion);
 
@@ -94,8 +103,15 @@ private:
   void setSilent(std::size_t view, bool silent);
   void tellGate(const PatientMotion& motion, const std::optional<MotionEstimate>& estimate);
   Eigen::Vector3d displacement(const RigidTransform& room_from_patient) const;
-  void accept(const Refinement& refinement);
   void forget();
+
+  // Refinement by registration, in motion_refinement.cpp.
+  void startRefinement();
+  bool refineCb(std_srvs::Trigger::Request& request, std_srvs::Trigger::Response& response);
+  void refinementCb(const ros::SteadyTimerEvent& event);
+  /// Tells the policy of the last complete exposure.
+  void considerRefinement(const PatientMotion& motion, const std::optional<MotionEstimate>& estimate);
+  void accept(const Refinement& refinement);
 
   // For people, in motion_estimation_diagnostics.cpp.
   void report(const PatientMotion& motion);
@@ -113,16 +129,26 @@ private:
   std::optional<ExposureAssembler<TrackedRegion::ConstPtr>> assembler_;
   std::vector<ProjectionGeometry> geometries_;  ///< what the first estimator was made with; empty before
   RigidTransform reference_;                    ///< pose that motion is counted from: the setup's until it is refined
+  Matrix6d reference_covariance_ = Matrix6d::Zero();  ///< of the target's centre and rotation
   std::optional<MotionEstimator> estimator_;
   std::string observability_;  ///< of the geometry, for people
   std::optional<ConsistencyMonitor> consistency_;
   PoseHistory history_;
-  std::optional<RigidTransform> last_pose_;
+  /// The last pose that is known, measured or refined, and its stamp [ns].
+  std::optional<std::pair<std::int64_t, RigidTransform>> last_pose_;
   std::vector<std::optional<ViewMeasurement>> measurements_;
   std::optional<BeamGateRos> gate_;
   std::optional<PosePredictor> predictor_;
   std::optional<RefinementPolicy> refinement_;
   std::optional<RefinementClient> refinement_client_;
+  /// The latest exposures' tracks, which a refinement anchors; one a view, null if it was not waited for.
+  struct TrackedViews
+  {
+    std::int64_t stamp;
+    std::vector<TrackedRegion::ConstPtr> regions;
+    std::vector<std::int64_t> offsets;  ///< of the regions' stamps [ns]
+  };
+  boost::circular_buffer<TrackedViews> tracked_views_;
 
   std::optional<PatientMotion> last_motion_;
   std::string logged_reason_;  ///< of the last motion that was logged

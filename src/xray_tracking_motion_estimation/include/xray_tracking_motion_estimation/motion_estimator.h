@@ -112,13 +112,18 @@ class MotionEstimator
 public:
   /// @param target_centre patient frame [mm]
   /// @param shape how the tracked target is spread, TargetShape::isotropic(target_centre) if it is not known
-  /// @param room_from_patient_reference pose that motion is counted from; at it, c of eq. (3) is taken, too
+  /// @param room_from_patient_reference as of setReference(), without uncertainty
   /// @throws std::invalid_argument for bad options, fewer than two or more than kMaxViews views, a target that is not
   /// in
   ///   front of every source, or views that are as good as parallel, naming the views
   MotionEstimator(const MotionEstimationOptions& options, std::vector<ProjectionGeometry> views,
                   const Eigen::Vector3d& target_centre, const TargetShape& shape,
                   const RigidTransform& room_from_patient_reference);
+
+  /// @param room_from_patient_reference pose that motion is counted from; at it, c of eq. (3) is taken, too
+  /// @param covariance of that pose, as MotionEstimate::covariance; goes into every estimate's
+  /// @throws std::invalid_argument as the constructor for the target and the views, whereupon nothing is changed
+  void setReference(const RigidTransform& room_from_patient_reference, const Matrix6d& covariance);
 
   /// @param measurements one a view, in the order of the views; nothing where a view has no track
   /// @throws std::invalid_argument if there are more or fewer than views
@@ -157,9 +162,14 @@ private:
   std::string observe(std::size_t view, const ViewMeasurement& measurement, Observation& observation) const;
   void whiten(const Observation& observation, const Motion& motion, Whitened& whitened) const;
   /// The largest angle between the lines of sight of two of the views that are there [rad].
-  double widestAngle(const Observations& observations) const;
-  /// @return false if the measurements have no solution in front of all sources
-  bool solveLeastSquares(const Observations& observations, Motion& motion, Matrix6d& covariance) const;
+  static double widestAngle(const Observations& observations, const std::vector<Eigen::Vector3d>& lines_of_sight);
+  enum class Solution
+  {
+    FOUND,
+    NEAR,  ///< the steps had not come to rest
+    NONE   ///< not in front of all sources
+  };
+  Solution solveLeastSquares(const Observations& observations, Motion& motion, Matrix6d& covariance) const;
   void backProject(const std::vector<std::optional<ViewMeasurement>>& measurements, const Observations& observations,
                    Motion& motion, Matrix6d& covariance) const;
   bool judgeConsistency(const Observations& observations, const Motion& motion, MotionEstimate& estimate) const;
@@ -171,6 +181,7 @@ private:
   Eigen::Vector3d target_centre_;
   TargetShape shape_;
   RigidTransform reference_;
+  Matrix6d reference_covariance_ = Matrix6d::Zero();
   Eigen::Vector3d reference_target_;             ///< room [mm]
   std::vector<Eigen::Vector3d> lines_of_sight_;  ///< to the reference target, unit
   std::vector<double> chi_square_limits_;        ///< by degrees of freedom

@@ -34,6 +34,11 @@ struct Track
 
   /// (dx, dy, l11, l12, l21, l22)
   Vector6d warp() const;
+
+  /// The region's warp since another exposure in which the same template was tracked. Covariances add: between the two
+  /// linear parts, which are near the identity, the errors are taken to be the same numbers.
+  /// @param anchor that exposure's, of the same centre and model
+  Track since(const Track& anchor) const;
 };
 
 /// A model's own parameters, as many as it has; no heap.

@@ -17,14 +17,16 @@ namespace xray_tracking
 class BodyRenderer
 {
 public:
-  /// @param volume attenuation [1/mm]; not needed afterwards
+  /// @param volume attenuation [1/mm]; moved in, as it is held twice for a while
   /// @param footprint edge of the smallest bins that will be asked for, at the volume [mm]: the finest resolution is
   ///        smoothed as such bins smooth; coarser ones are halved, as long as their bins can be
   /// @param projector what render() uses
-  BodyRenderer(const ScalarVolume& volume, double footprint, Projector projector);
+  /// @param smoothness finest voxel edge that will do, in grid steps at the volume
+  BodyRenderer(ScalarVolume volume, double footprint, double smoothness, Projector projector);
 
   /// Line integrals at the grid's points and their derivatives by the twist of motionAbout(centre, twist) *
-  /// room_from_body at zero, from the coarsest volume whose finest voxel edge is not above a grid step at `centre`.
+  /// room_from_body at zero, from the coarsest volume whose finest voxel edge is not above `smoothness` grid steps at
+  /// `centre`.
   /// @param line_integrals out, CV_32FC1; @param derivatives out, CV_32FC(6) [1 / rad, 1 / mm]
   void renderWithDerivatives(const ProjectionGeometry& geometry, const PixelGrid& pixels,
                              const RigidTransform& room_from_body, const Eigen::Vector3d& centre,
@@ -49,6 +51,7 @@ private:
   const Level& suiting(const ProjectionGeometry& geometry, const PixelGrid& pixels,
                        const Eigen::Vector3d& centre) const;
 
+  double smoothness_;
   std::vector<Level> levels_;  ///< fine to coarse
 };
 }  // namespace xray_tracking

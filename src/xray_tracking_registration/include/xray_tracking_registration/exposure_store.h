@@ -4,13 +4,12 @@
 #include <map>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
-#include <geometry_msgs/PoseWithCovarianceStamped.h>
 #include <ros/time.h>
 #include <sensor_msgs/CameraInfo.h>
 #include <sensor_msgs/Image.h>
-#include <xray_tracking_msgs/PatientMotion.h>
 
 namespace xray_tracking
 {
@@ -19,8 +18,6 @@ struct StoredExposure
 {
   std::vector<sensor_msgs::ImageConstPtr> images;             ///< one a detector
   std::vector<sensor_msgs::CameraInfoConstPtr> camera_infos;  ///< one a detector
-  xray_tracking_msgs::PatientMotionConstPtr motion;           ///< what tracking says
-  geometry_msgs::PoseWithCovarianceStampedConstPtr pose;      ///< tracking's
   ros::SteadyTime last_arrival;
   bool answered = false;
 };
@@ -34,21 +31,20 @@ class ExposureStore
 {
 public:
   /// @param detectors names, for messages; @param capacity number of exposures kept, 1 or more
-  /// @param with_seed an exposure is complete only with what tracking says of it
-  ExposureStore(std::vector<std::string> detectors, std::size_t capacity, bool with_seed);
+  /// @param in_turn whether next() will be called; without, exposures are kept for find() alone
+  ExposureStore(std::vector<std::string> detectors, std::size_t capacity, bool in_turn);
 
   void addImage(std::size_t detector, const sensor_msgs::ImageConstPtr& image);
   void addCameraInfo(std::size_t detector, const sensor_msgs::CameraInfoConstPtr& camera_info);
-  void addMotion(const xray_tracking_msgs::PatientMotionConstPtr& motion);
-  void addPose(const geometry_msgs::PoseWithCovarianceStampedConstPtr& pose);
+  /// Whether time has jumped back since this was last asked.
+  bool takeRestart() { return std::exchange(restarted_, false); }
 
   /// An exposure whose turn it is.
   struct Due
   {
     ros::Time stamp;
     StoredExposure exposure;
-    std::string missing;   ///< names what is; empty if it is complete
-    bool restart = false;  ///< the first one after a jump back in time
+    std::string missing;  ///< names what is; empty if it is complete
   };
   std::optional<Due> next();
 
@@ -67,12 +63,11 @@ private:
   /// Forgets all if the stamp goes back. @param last on the same topic
   void noteArrival(const ros::Time& stamp, ros::Time& last);
   StoredExposure& at(const ros::Time& stamp);
-  std::string missing(const StoredExposure& exposure) const;
   Due handOut(Exposures::iterator entry, const std::string& missing);
 
   std::vector<std::string> detectors_;
   std::size_t capacity_;
-  bool with_seed_;
+  bool in_turn_;
   Exposures exposures_;
   std::vector<Due> displaced_;                ///< never answered, and out of the store
   std::vector<ros::Time> last_images_;        ///< one a detector

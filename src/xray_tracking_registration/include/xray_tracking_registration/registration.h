@@ -45,10 +45,10 @@ struct RegistrationOptions
   std::string similarity = "gradient_correlation";
   /// Shear-warp is faster than either other one by far; the attenuation field is what ray casting needs to be usable.
   Projector projector = Projector::SHEAR_WARP;
-  double min_similarity = 0.6;  ///< ViewResidual::similarity that every view needs to be believed, -1 to 1
-  /// ViewResidual::coarse_similarity that every view needs, -1 to 1. Tells the next vertebra from the right one, which
-  /// are alike in what is fine.
-  double min_coarse_similarity = 0.7;
+  /// What every view needs to be believed, 0 to 1: the geometric mean of ViewResidual::similarity and
+  /// coarse_similarity. The next vertebra is like the right one either in what is fine or in what is coarse.
+  double min_similarity = 0.6;
+  double min_coarse_similarity = 0.5;  ///< ViewResidual::coarse_similarity that every view needs, -1 to 1
   double max_deviation_mm = 0.75;  ///< expected error from which a pose is not believed (square root of the covariance
                                    ///< of the least certain direction), > 0 [mm]
 
@@ -81,7 +81,9 @@ struct RegistrationRequest
   /// Start of the rest, relative to the target, in the patient frame: room_from_rest = room_from_patient *
   /// target_from_rest. Best the last exposure's result.
   RigidTransform target_from_rest = RigidTransform::Identity();
-  double max_translation_mm = 30.0;  ///< of the target's centre from the start, > 0 [mm]
+  /// Of the target's centre from the start, > 0 [mm]. The tighter the better: beyond 18 mm the next vertebra is in
+  /// question too.
+  double max_translation_mm = 30.0;
   double max_rotation_rad = 0.26;    ///< from the start, > 0, at most pi [rad]
   std::chrono::duration<double> time_budget{ 5.0 };
   /// Called before every rendering of a pose, from run()'s thread; returns whether to go on. May be empty.
@@ -100,7 +102,7 @@ enum class RegistrationStatus
 /// Figures of one view at the result.
 struct ViewResidual
 {
-  double similarity = 0.0;         ///< correlation coefficient of the finest level's high-passed images, -1 to 1
+  double similarity = 0.0;         ///< correlation coefficient of the high-passed images as fine as the CT is, -1 to 1
   double coarse_similarity = 0.0;  ///< the same at the coarsest level's resolution
   double noise = 0.0;              ///< root mean square of the difference of the normalised images, 0 to 2
   /// By how much the view alone would move the target along what it sees best, two directions across its central ray

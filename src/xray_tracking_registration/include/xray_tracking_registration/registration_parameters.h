@@ -9,12 +9,12 @@
 
 namespace xray_tracking
 {
-/// Which exposures the node refines by itself.
+/// How the graph comes to its poses.
 enum class RefinementMethod
 {
-  TRACKING,                  ///< none
-  REGISTRATION,              ///< every one, from the last accepted pose
-  TRACKING_AND_REGISTRATION  ///< every one, from motion estimation's pose of it, if there is one
+  TRACKING,                  ///< the node answers requests
+  REGISTRATION,              ///< the node refines every exposure by itself, from the last accepted pose
+  TRACKING_AND_REGISTRATION  ///< as TRACKING; answers about kept exposures are published, too
 };
 
 /// As in the parameter `method`.

@@ -31,7 +31,7 @@
 
 namespace xray_tracking
 {
-/// 2D-3D registration as a node: refines poses on request, and every exposure by itself if the method says so. Topics,
+/// 2D-3D registration as a node: refines poses on request, or every exposure by itself if the method says so. Topics,
 /// services, action and parameters: README.md.
 ///
 /// A callback queue of its own with threads of its own: nothing here ever holds up a manager's other nodelets. One
@@ -56,6 +56,7 @@ private:
     RefinementRequest request;
     std::function<void(const RefinementResult&)> answer;
     std::optional<GoalHandle> goal;
+    ros::SteadyTime arrival = ros::SteadyTime::now();
     bool running = false;
   };
 
@@ -74,6 +75,13 @@ private:
   void answerExposure(const ExposureStore::Due& due);
   RefinementResult refineRequest(const RefinementRequest& message, const Progress& progress);
   RefinementResult refineExposure(const ExposureStore::Due& due);
+  void publishRefined(const ros::Time& stamp, const RefinementResult& result, double cpu_seconds,
+                      const ros::SteadyTime& arrival);
+  /// Forgets what an earlier run has left, if time has jumped back. With the mutex held.
+  void noteRestart();
+  /// The exposure that a request means; waits for what of it is still on its way.
+  /// @return why there is none; empty if there is
+  std::string findExposure(const ros::Time& stamp, StoredExposure& exposure);
   /// The registration in use; null if there is none.
   std::shared_ptr<const Registration> currentRegistration();
   /// With all but the start.
@@ -101,6 +109,7 @@ private:
   // Of the registering thread alone.
   RigidTransform accepted_pose_ = RigidTransform::Identity();  ///< room_from_patient of the last exposure
   RigidTransform target_from_rest_ = RigidTransform::Identity();
+  ros::Time last_refined_;  ///< exposure of the last refined_pose
 
   std::atomic<bool> stop_{ false };
   std::atomic<bool> cancel_{ false };

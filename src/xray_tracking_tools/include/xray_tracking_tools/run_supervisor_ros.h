@@ -65,9 +65,11 @@ private:
 
   std::map<std::string, DetectorCounts> detectors_;
   std::set<ros::Time> motions_;
-  bool registers_ = false;  ///< whether refined poses are waited for
+  bool registers_ = false;         ///< whether refined poses are waited for
+  bool registers_tracks_ = false;  ///< only of exposures for which tracking was ready
   std::set<ros::Time> refined_;
-  ros::WallTime last_event_;  ///< start, or the last new answer
+  std::size_t not_ready_ = 0;  ///< exposures for which it was not
+  ros::WallTime last_event_;   ///< start, or the last new answer
   ros::WallTime last_print_;
   int exit_status_ = 1;
 

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <string>
 #include <vector>
 
 #include <geometry_msgs/TransformStamped.h>
@@ -10,7 +11,7 @@
 
 /// What RViz shows of a treatment room, in metres. Each kind of thing has a marker namespace of its own, so that it can
 /// be switched: `sources`, `panels`, `panel_outlines`, `central_rays`, `beams`, `isocentre`, `target_box` (frame
-/// patient), `region_rays`, `regions`, `trail`.
+/// patient), `region_rays`, `regions`, `trail`, `beam_gate`.
 namespace xray_tracking
 {
 /// Static transforms: room to each detector's optical frame, patient to target (the target box's centre).
@@ -27,4 +28,7 @@ std::vector<visualization_msgs::Marker> regionMarkers(const ProjectionGeometry& 
 
 /// The way of the target's centre; deleted while it has fewer than two points.
 visualization_msgs::Marker trailMarker(const std::vector<geometry_msgs::Point>& points);
+
+/// Whether the beam is to be held, as text over the isocentre: green if not. @param why for people
+visualization_msgs::Marker gateMarker(bool open, const std::string& why);
 }  // namespace xray_tracking

@@ -9,6 +9,7 @@
 #include <ros/ros.h>
 #include <tf2_ros/static_transform_broadcaster.h>
 #include <visualization_msgs/MarkerArray.h>
+#include <xray_tracking_msgs/BeamGate.h>
 #include <xray_tracking_msgs/TrackedRegion.h>
 
 #include "xray_tracking_core/sequence/treatment_setup.h"
@@ -20,7 +21,7 @@ namespace xray_tracking
 /// Parameters: ~setup_file (path), ~trail_length (exposures).
 /// Publishes: treatment_room_markers (visualization_msgs/MarkerArray, latched); static tf treatment_room ->
 ///   <detector>_optical_frame and patient -> target.
-/// Subscribes: patient_pose, <detector>/tracked_region.
+/// Subscribes: patient_pose, <detector>/tracked_region, beam_gate.
 /// With a bad parameter it says so and stays idle.
 class TreatmentRoomPublisherRos
 {
@@ -31,6 +32,8 @@ private:
   void start(const ros::NodeHandle& pnh);
   void poseCallback(const geometry_msgs::PoseWithCovarianceStamped& message);
   void regionCallback(std::size_t detector, const xray_tracking_msgs::TrackedRegion& message);
+  void gateCallback(const xray_tracking_msgs::BeamGate& message);
+  void showGate(bool open, const std::string& why);
   void publishMarkers();
 
   ros::NodeHandle nh_;
@@ -41,12 +44,15 @@ private:
   std::map<std::size_t, std::vector<visualization_msgs::Marker>> region_markers_;  // by detector
   std::vector<geometry_msgs::Point> trail_;
   ros::Time last_pose_stamp_;
+  visualization_msgs::Marker gate_marker_;
+  ros::SteadyTime last_gate_;
   bool changed_ = true;
 
   tf2_ros::StaticTransformBroadcaster broadcaster_;
   ros::Publisher marker_publisher_;
   ros::WallTimer timer_;
   ros::Subscriber pose_subscriber_;
+  ros::Subscriber gate_subscriber_;
   std::vector<ros::Subscriber> region_subscribers_;
 };
 }  // namespace xray_tracking

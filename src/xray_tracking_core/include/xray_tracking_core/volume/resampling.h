@@ -14,5 +14,5 @@ ScalarVolume halved(const ScalarVolume& volume);
 /// Gives a rendering the resolution that it is compared at, at no cost per rendering: square bins of edge b on the
 /// panel have b^2 / 12 / magnification^2, linear interpolation of voxels of spacing h has h^2 / 6, and halved() adds
 /// 5 / 6 h^2 to that.
-ScalarVolume filtered(const ScalarVolume& volume, const Eigen::Vector3d& variance);
+ScalarVolume filtered(ScalarVolume volume, const Eigen::Vector3d& variance);
 }  // namespace xray_tracking

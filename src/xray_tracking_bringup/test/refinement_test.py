@@ -1,0 +1,74 @@
+#!/usr/bin/python3
+"""Tracking with the registration behind it: poses follow what it finds, and go on as they are if it refuses."""
+import os
+import sys
+
+import numpy as np
+import rospkg
+import rospy
+import rostest
+import yaml
+
+sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
+from graph_test_case import DETECTORS, GraphTestCase, matrix, target_registration_error_mm  # noqa: E402
+from xray_tracking_msgs.msg import PatientMotion, RefinedPose, RefinementResult  # noqa: E402
+
+EXPOSURES = 30
+# Tracking of translations alone is 0.47 mm off in the median: the target's box is turned by up to 2 degrees.
+REFINED_MEDIAN_MM, REFINED_MAX_MM = 0.2, 0.5
+
+
+class RefinementTest(GraphTestCase):
+    def test_every_exposure(self):
+        setup_path = os.path.join(rospkg.RosPack().get_path("xray_tracking_core"), "config", "phantom_neck.yaml")
+        with open(setup_path, encoding="utf-8") as file:
+            box = yaml.safe_load(file)["target_box_mm"]
+        self.box = (box["min"], box["max"])
+        refined = {}
+        rospy.Subscriber("refined_pose", RefinedPose, lambda message: refined.update({message.header.stamp: message}))
+        self.wait_for_graph()
+        self.wait_for_subscribers({f"/{name}/{topic}": ["/registration"] for name in DETECTORS
+                                   for topic in ("image_raw", "camera_info")})
+        self.wait_for_subscribers({"/refined_pose": [rospy.get_name()], "/diagnostics": [rospy.get_name()]})
+        self.start_simulator()
+        self.wait_for(lambda: len(self.motions) == len(self.poses) == len(refined) == EXPOSURES, 90.0,
+                      "all exposures tracked and registered")
+        for stamp, motion in self.motions.items():
+            self.assertEqual(motion.state, PatientMotion.OK, f"{stamp}: {motion.reason}")
+        self.assertEqual(sorted(refined), sorted(self.gold))
+        for message in refined.values():
+            self.assertEqual(message.method, "tracking_and_registration")
+        errors = self.errors_mm(self.box)
+        print(f"tracking: TRE mm: median {np.median(errors[1:]):.3f}, max {errors.max():.3f}")
+        getattr(self, sys.argv[1])(refined, errors)
+
+    def accepted(self, refined, errors):
+        for stamp, message in refined.items():
+            self.assertEqual(message.result.status, RefinementResult.SUCCESS, f"{stamp}: {message.result.reason}")
+        registered = [target_registration_error_mm(matrix(refined[stamp].result.pose.pose.position,
+                                                          refined[stamp].result.pose.pose.orientation),
+                                                   self.gold[stamp], self.box) for stamp in sorted(self.gold)]
+        print(f"registered: TRE mm: median {np.median(registered[1:]):.3f}, max {max(registered):.3f}")
+        self.assertLessEqual(np.median(registered[1:]), REFINED_MEDIAN_MM)
+        self.assertLessEqual(max(registered), REFINED_MAX_MM)
+        # Tracking goes on from the refined exposures, so that it is as good between them.
+        self.assertLessEqual(np.median(errors[1:]), 0.3)
+        self.assertLessEqual(errors.max(), 0.7)
+        self.wait_for(lambda: self.refinements("accepted") >= 0.8 * EXPOSURES, 10.0,
+                      "most of the refinements are accepted")
+
+    def refused(self, refined, errors):
+        for stamp, message in refined.items():
+            self.assertEqual(message.result.status, RefinementResult.UNRELIABLE, f"{stamp}: {message.result.reason}")
+        self.wait_for(lambda: self.refinements("refused") == EXPOSURES, 10.0, "all refinements are refused")
+        self.assertEqual(self.refinements("accepted"), 0)
+        self.assertIn("similarity", self.diagnosis["last refusal"])
+        # As good as tracking is, which shows what the refinement is for.
+        self.assertLess(errors[0], 1e-6)
+        self.assertGreater(np.median(errors[1:]), 0.35)
+        self.assertLess(errors.max(), 2.0)
+
+
+if __name__ == "__main__":
+    rospy.init_node("refinement_test")
+    rostest.rosrun("xray_tracking_bringup", "refinement", RefinementTest)

@@ -1,0 +1,49 @@
+#pragma once
+
+#include <memory>
+#include <optional>
+#include <utility>
+
+#include <Eigen/Core>
+#include <opencv2/core.hpp>
+
+#include "xray_tracking_core/sequence/treatment_setup.h"
+#include "xray_tracking_hyperplane_tracker/region_search.h"
+#include "xray_tracking_hyperplane_tracker/region_tracker.h"
+
+namespace xray_tracking
+{
+/// A tracker that looks for its region in the whole image as soon as it has lost it, and for as long as it is lost.
+///
+/// Once lost, a region counts as found only when it is proven (provenCandidate): of the places that look like it, the
+/// last good one among them, one is clearly better than all others. So nothing that takes the region's place meanwhile,
+/// a neighbour, is followed.
+class RecoveringTracker
+{
+public:
+  RecoveringTracker(std::unique_ptr<RegionTracker> tracker, const IntensityModel& intensity)
+    : tracker_(std::move(tracker)), intensity_(intensity)
+  {
+  }
+
+  /// As RegionTracker::train. @throws as it does; an earlier template stays
+  void train(const cv::Mat& image, const cv::Rect& region);
+  void reset();
+  bool trained() const { return tracker_->trained(); }
+  cv::Rect region() const { return tracker_->region(); }
+
+  /// As RegionTracker::track; where it fails at most seven more of its searches in the same image.
+  const TrackResult& track(const cv::Mat& image);
+  const TrackResult& result() const { return result_; }
+
+private:
+  void recover(const cv::Mat& image);
+
+  std::unique_ptr<RegionTracker> tracker_;
+  IntensityModel intensity_;
+  std::optional<RegionSearch> search_;
+  Eigen::Vector2d last_good_ = Eigen::Vector2d::Zero();  ///< displacement [px]
+  bool lost_ = false;
+  TrackResult result_;
+};
+}  // namespace xray_tracking

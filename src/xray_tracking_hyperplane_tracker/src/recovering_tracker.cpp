@@ -1,0 +1,64 @@
+#include "xray_tracking_hyperplane_tracker/recovering_tracker.h"
+
+#include <vector>
+
+namespace xray_tracking
+{
+void RecoveringTracker::train(const cv::Mat& image, const cv::Rect& region)
+{
+  tracker_->train(image, region);
+  search_.emplace(image, region, intensity_);
+  last_good_.setZero();
+  lost_ = false;
+}
+
+void RecoveringTracker::reset()
+{
+  tracker_->reset();
+  search_.reset();
+}
+
+const TrackResult& RecoveringTracker::track(const cv::Mat& image)
+{
+  if (!lost_)
+  {
+    result_ = tracker_->track(image);
+    lost_ = !result_.found();
+  }
+  if (lost_)
+  {
+    recover(image);
+  }
+  if (!lost_)
+  {
+    last_good_ = result_.displacement;
+  }
+  return result_;
+}
+
+void RecoveringTracker::recover(const cv::Mat& image)
+{
+  std::vector<Eigen::Vector2d> starts{ last_good_ };
+  for (const RegionCandidate& candidate : search_->find(image))
+  {
+    starts.push_back(candidate.displacement);
+  }
+  std::vector<TrackResult> refined;
+  for (const Eigen::Vector2d& start : starts)
+  {
+    refined.push_back(tracker_->trackFrom(image, start));
+  }
+  if (const std::optional<std::size_t> proven = provenCandidate(refined))
+  {
+    // The next search is to start from there, not from the last of the others.
+    result_ = *proven + 1 < starts.size() ? tracker_->trackFrom(image, starts[*proven]) : refined[*proven];
+    lost_ = !result_.found();
+    return;
+  }
+  result_ = refined.front();
+  if (result_.found())
+  {
+    result_.status = TrackResult::Status::LOW_CORRELATION;
+  }
+}
+}  // namespace xray_tracking

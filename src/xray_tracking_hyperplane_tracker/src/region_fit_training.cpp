@@ -1,0 +1,206 @@
+// What a RegionFit learns from a template.
+
+#include <algorithm>
+#include <cmath>
+
+#include <opencv2/imgproc.hpp>
+
+#include "predictor.h"
+#include "region_fit.h"
+#include "spectral_filter.h"
+
+namespace xray_tracking
+{
+namespace
+{
+constexpr int kLane = 8;          ///< floats in a vector
+constexpr double kTiles = 100.0;  ///< about; enough for their scatter to be an estimate
+/// Error of the motion [px] whose residual does not make an outlier.
+constexpr float kMotionError = 0.15f;
+/// A residual's variance in units of the noise's is hardly less: between pixels, bilinear sampling leaves a quarter.
+constexpr double kLeastNoise = 0.2;
+}  // namespace
+
+void RegionFit::layTiles(const cv::Rect& region)
+{
+  const double side = std::max(4.0, std::sqrt(grid_.area() / kTiles));
+  const int columns = std::max(1, static_cast<int>(std::lround(grid_.width / side)));
+  const int rows = std::max(1, static_cast<int>(std::lround(grid_.height / side)));
+  tile_columns_ = columns;
+  std::vector<Eigen::Vector2f> places;
+  for (int r = 0; r < rows; ++r)
+  {
+    for (int c = 0; c < columns; ++c)
+    {
+      Tile tile;
+      tile.begin = static_cast<Eigen::Index>(places.size());
+      for (int y = r * grid_.height / rows; y < (r + 1) * grid_.height / rows; ++y)
+      {
+        for (int x = c * grid_.width / columns; x < (c + 1) * grid_.width / columns; ++x)
+        {
+          places.emplace_back(region.x + x * step_, region.y + y * step_);
+        }
+      }
+      tile.count = static_cast<Eigen::Index>(places.size()) - tile.begin;
+      while (places.size() % kLane != 0)
+      {
+        places.push_back(places.back());
+      }
+      tile.padded = static_cast<Eigen::Index>(places.size()) - tile.begin;
+      tiles_.push_back(tile);
+    }
+  }
+  points_.resize(static_cast<Eigen::Index>(places.size()), 2);
+  for (Eigen::Index i = 0; i < points_.rows(); ++i)
+  {
+    points_.row(i) = places[static_cast<std::size_t>(i)].transpose();
+  }
+  box_ = Box(points_.colwise().minCoeff().transpose(), points_.colwise().maxCoeff().transpose());
+}
+
+RegionFit::RegionFit(const cv::Mat& image, const IntensityModel& intensity, const cv::Rect& region, int parameters,
+                     double radius, const DifferenceModel& model)
+  : parameters_(parameters),
+    unknowns_(parameters + kShadings),
+    step_(static_cast<int>(std::ceil(std::sqrt(region.area() / kMaxFitPixels)))),
+    grid_(region.width / step_, region.height / step_),
+    floor_(kLeastNoise * model.noise * model.noise)
+{
+  layTiles(region);
+  const Eigen::Index n = points_.rows();
+  values_.resize(n);
+  sampled_.resize(n);
+  outside_.resize(n);
+
+  // Derivatives by the motion, on the grid for the filter.
+  constexpr int kMargin = 16;
+  const cv::Rect seen =
+      cv::Rect(region.x - kMargin, region.y - kMargin, region.width + 2 * kMargin, region.height + 2 * kMargin) &
+      cv::Rect(cv::Point(), image.size());
+  const cv::Mat raw = attenuationImage(image(seen), intensity);
+  const cv::Mat smooth = withoutNoise(raw, model.noise);
+  cv::Mat gradient_x, gradient_y;
+  cv::Sobel(smooth, gradient_x, CV_32F, 1, 0, 1, 0.5);
+  cv::Sobel(smooth, gradient_y, CV_32F, 0, 1, 1, 0.5);
+  const Eigen::Vector2d centre(region.x + 0.5 * (region.width - 1), region.y + 0.5 * (region.height - 1));
+  const Whitening whitening(grid_, step_, model);
+  std::array<Eigen::MatrixXf, 2> instruments;
+  instruments.fill(Eigen::MatrixXf(n, parameters));
+  const auto on_grid = [&](Eigen::Index i)
+  { return cv::Point(static_cast<int>(points_(i, 0)), static_cast<int>(points_(i, 1))); };
+  for (int k = 0; k < parameters; ++k)
+  {
+    cv::Mat derivative(grid_, CV_32F);
+    for (int y = 0; y < grid_.height; ++y)
+    {
+      for (int x = 0; x < grid_.width; ++x)
+      {
+        const cv::Point place(region.x + x * step_, region.y + y * step_);
+        const Eigen::Vector2d motion =
+            k < 2 ? Eigen::Vector2d::Unit(k)
+                  : (generator(k) * (Eigen::Vector2d(place.x, place.y) - centre) / radius).eval();
+        derivative.at<float>(y, x) = static_cast<float>(motion.x()) * gradient_x.at<float>(place - seen.tl()) +
+                                     static_cast<float>(motion.y()) * gradient_y.at<float>(place - seen.tl());
+      }
+    }
+    const cv::Mat instrument = whitening(derivative);
+    for (Eigen::Index i = 0; i < n; ++i)
+    {
+      const cv::Point place = (on_grid(i) - region.tl()) / step_;
+      instruments[WHITE](i, k) = derivative.at<float>(place);
+      instruments[OVERLAY](i, k) = instrument.at<float>(place);
+    }
+  }
+
+  const Eigen::MatrixXd shading = shadingPatterns(points_, region);
+  Eigen::MatrixXd patterns(n, kShadings);
+  Eigen::VectorXf noise(n);
+  // The template's own noise would answer to the derivatives of the same noise, and make all contrasts seem too low
+  // (regression dilution): without it.
+  patterns.leftCols<kShadings - 1>() = shading;
+  for (Eigen::Index i = 0; i < n; ++i)
+  {
+    values_[i] = smooth.at<float>(on_grid(i) - seen.tl());
+    noise[i] = raw.at<float>(on_grid(i) - seen.tl()) - values_[i];
+    patterns(i, kShadings - 1) = static_cast<double>(values_[i]);
+  }
+  const auto clear_padding = [this](auto& columns)
+  {
+    for (const Tile& tile : tiles_)
+    {
+      columns.middleRows(tile.begin + tile.count, tile.padded - tile.count).setZero();
+    }
+  };
+  clear_padding(patterns);
+  clear_padding(noise);
+  const Nuisance found(patterns);
+  for (Eigen::MatrixXf& columns : instruments)
+  {
+    clear_padding(columns);
+    found.removeFrom(columns);
+  }
+  Eigen::MatrixXf nuisance = found.basis();
+  contrast_ = nuisance.rightCols<1>().dot(patterns.rightCols<1>().cast<float>());
+  if (contrast_ < 0.f)
+  {
+    contrast_ = -contrast_;
+    nuisance.rightCols<1>() *= -1.f;
+  }
+  store(instruments, nuisance, noise);
+
+  const Eigen::Index tiles = static_cast<Eigen::Index>(tiles_.size());
+  sums_.resize(2 * parameters + kShadings + 1, tiles);
+  weights_.resize(tiles);
+  variances_.resize(tiles);
+  sorted_.resize(tiles);
+  product_.resize(tiles * unknowns_);
+  scores_.resize(unknowns_, tiles);
+}
+
+void RegionFit::store(const std::array<Eigen::MatrixXf, 2>& instruments, const Eigen::MatrixXf& nuisance,
+                      const Eigen::VectorXf& template_noise)
+{
+  const Eigen::Index tiles = static_cast<Eigen::Index>(tiles_.size());
+  const int p = parameters_;
+  const int q = unknowns_;
+  columns_.resize(points_.rows() * (2 * p + kShadings));
+  for (const Noise noise : { WHITE, OVERLAY })
+  {
+    normal_[noise].resize(tiles * q, q);
+    all_normal_[noise] = Eigen::MatrixXd::Zero(q, q);
+    all_squares_[noise] = Eigen::MatrixXd::Zero(q, q);
+    noise_scores_[noise].resize(q, tiles);
+  }
+  tolerance_.resize(tiles);
+  float* column = columns_.data();
+  for (Eigen::Index t = 0; t < tiles; ++t)
+  {
+    const Tile& tile = tiles_[static_cast<std::size_t>(t)];
+    const auto rows = [&tile](const Eigen::MatrixXf& all) { return all.middleRows(tile.begin, tile.padded); };
+    Eigen::Map<Eigen::MatrixXf> stored(column, tile.padded, 2 * p + kShadings);
+    stored << rows(instruments[WHITE]), rows(instruments[OVERLAY]), rows(nuisance);
+    column += stored.size();
+    Eigen::MatrixXf right(tile.padded, q), left(tile.padded, q);
+    right << rows(instruments[WHITE]), rows(nuisance);
+    for (const Noise noise : { WHITE, OVERLAY })
+    {
+      left << rows(instruments[noise]), rows(nuisance);
+      normal_[noise].middleRows(t * q, q) = left.transpose() * right;
+      all_normal_[noise] += normal_[noise].middleRows(t * q, q).cast<double>();
+      all_squares_[noise] += (left.transpose() * left).cast<double>();
+      noise_scores_[noise].col(t) = (left.transpose() * template_noise.segment(tile.begin, tile.padded)).cast<double>();
+    }
+    tolerance_[t] = kMotionError * kMotionError * right.leftCols(2).squaredNorm() / static_cast<float>(tile.count);
+  }
+
+  for (const Noise noise : { WHITE, OVERLAY })
+  {
+    information_[noise].resize(tiles);
+    for (Eigen::Index t = 0; t < tiles; ++t)
+    {
+      const Eigen::MatrixXd part = normal_[noise].middleRows(t * q, q).cast<double>();
+      information_[noise][t] = (part.diagonal().array() / all_normal_[noise].diagonal().array()).head(p).sum();
+    }
+  }
+}
+}  // namespace xray_tracking

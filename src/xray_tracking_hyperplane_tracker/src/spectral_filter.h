@@ -1,0 +1,31 @@
+#pragma once
+
+#include <opencv2/core.hpp>
+
+namespace xray_tracking
+{
+/// What a template's noise and surroundings are reckoned to be.
+struct DifferenceModel
+{
+  double noise = 0.0;       ///< standard deviation of the white noise of one image
+  double background = 0.0;  ///< variance of the differences that an overlay moving on its own makes
+};
+
+/// The image without white noise, as well as its spectrum, averaged over directions, tells both apart (Wiener). Noise
+/// in derivatives would answer to itself and make all other answers seem too small.
+/// @param image CV_32FC1; @param noise standard deviation
+cv::Mat withoutNoise(const cv::Mat& image, double noise);
+
+/// Filters images by the inverse of a covariance: white noise plus a background with the spectrum 1/f^3.
+class Whitening
+{
+public:
+  /// @param size of the images; @param step distance of their pixels [px]
+  Whitening(const cv::Size& size, int step, const DifferenceModel& model);
+
+  cv::Mat operator()(const cv::Mat& image) const;
+
+private:
+  cv::Mat weights_;
+};
+}  // namespace xray_tracking
