@@ -141,9 +141,11 @@ void HyperplaneTracker::search(const cv::Mat& image, const Warp& start, bool onl
   // What covers a part of the region confuses the coarse predictors more than the fine ones, and may send them to a
   // neighbour that looks alike. So what is degraded, not found or far away is looked for from near, too.
   const bool degraded = result_.status == TrackResult::Status::DEGRADED;
+  // Past the last predictor there are only the last steps, if there are any.
+  const std::size_t last = options_.whole_region ? t.levels() : t.levels() - 1;
   std::optional<SearchResult> best;
   int iterations = 0;
-  for (std::size_t level = first; level <= t.levels(); ++level)
+  for (std::size_t level = first; level <= last; ++level)
   {
     const SearchResult found = t.search(image, start, level);
     iterations += found.iterations;

@@ -261,6 +261,29 @@ TEST(HyperplaneTracker, isLostInAnImageWithoutTheTarget)
   }
 }
 
+TEST(HyperplaneTracker, predictorsAloneDoNotTakeAnythingElseForTheTarget)
+{
+  HyperplaneTrackerOptions options;
+  options.whole_region = false;
+  HyperplaneTracker tracker = trainedTracker({}, options);
+  cv::Mat foreign;
+  for (std::uint32_t seed = 1; seed < 5; ++seed)
+  {
+    for (const double contrast : { -1.0, -0.5 })
+    {
+      Exposure negative;
+      negative.contrast = contrast;
+      negative.noise = 0.05;
+      negative.seed = seed;
+      const cv::Mat image = expose(negative);
+      EXPECT_FALSE(tracker.track(image).found()) << contrast << ", correlation " << tracker.result().correlation;
+      cv::flip(image, foreign, -1);
+      EXPECT_FALSE(tracker.track(foreign).found()) << contrast << ", correlation " << tracker.result().correlation;
+    }
+    expectFollows(tracker, expose({}), Eigen::Vector2d::Zero(), kInterpolation);
+  }
+}
+
 TEST(HyperplaneTracker, isFoundAgainOnlyWellAboveTheThreshold)
 {
   // Noise of this size lowers the correlation to between the two thresholds.
