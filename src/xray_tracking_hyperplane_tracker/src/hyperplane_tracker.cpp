@@ -140,7 +140,7 @@ void HyperplaneTracker::search(const cv::Mat& image, const Warp& start, bool onl
 
   // What covers a part of the region confuses the coarse predictors more than the fine ones, and may send them to a
   // neighbour that looks alike. So what is degraded, not found or far away is looked for from near, too.
-  const bool degraded = result_.status == TrackResult::Status::DEGRADED;
+  const bool degraded = !lost_ && result_.status == TrackResult::Status::DEGRADED;
   // Past the last predictor there are only the last steps, if there are any.
   const std::size_t last = options_.whole_region ? t.levels() : t.levels() - 1;
   std::optional<SearchResult> best;

@@ -101,6 +101,7 @@ public:
   cv::Rect region() const override;
   const TrackResult& track(const cv::Mat& image) override;
   const TrackResult& trackFrom(const cv::Mat& image, const Eigen::Vector2d& displacement) override;
+  void setLost() override { lost_ = true; }
   const TrackResult& result() const override { return result_; }
 
   /// Tracks, and where the region is found learns the predictors anew from this image, for a region whose looks have
