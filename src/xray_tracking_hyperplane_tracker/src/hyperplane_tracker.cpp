@@ -37,15 +37,16 @@ void HyperplaneTrackerOptions::validate() const
   requireOption(!ranges.empty(), "ranges", "empty", "one number or more");
   for (std::size_t i = 0; i < ranges.size(); ++i)
   {
-    requireOption(std::isfinite(ranges[i]) && ranges[i] > 0.0 && (i == 0 || ranges[i] < ranges[i - 1]), "ranges",
-                  ranges[i], "numbers > 0 that fall [px]");
+    requireOption(ranges[i] > 0.0 && ranges[i] <= 1000.0 && (i == 0 || ranges[i] < ranges[i - 1]), "ranges", ranges[i],
+                  "numbers > 0 that fall, up to 1000 [px]");
   }
   requireInRange("bin", bin, 1, 16);
   requireInRange("training_motions", training_motions, 50, 100000);
-  require_positive("rotation_range", rotation_range);
-  require_positive("scale_range", scale_range);
-  requireOption(std::isfinite(background) && background >= 0.0, "background", background, "a number >= 0");
-  requireOption(max_iterations >= 1, "max_iterations", max_iterations, "1 or more");
+  requireOption(rotation_range > 0.0 && rotation_range <= 45.0, "rotation_range", rotation_range,
+                "a number > 0, up to 45 [deg]");
+  requireOption(scale_range > 0.0 && scale_range <= 0.5, "scale_range", scale_range, "a number > 0, up to 0.5");
+  requireInRange("background", background, 0.0, 1000.0);
+  requireInRange("max_iterations", max_iterations, 1, 1000);
   require_positive("convergence", convergence);
   requireInRange("min_correlation", min_correlation, 0.0, 1.0);
   requireInRange("found_correlation", found_correlation, min_correlation, 1.0);
@@ -140,10 +141,12 @@ void HyperplaneTracker::search(const cv::Mat& image, const Warp& start, bool onl
 
   // What covers a part of the region confuses the coarse predictors more than the fine ones, and may send them to a
   // neighbour that looks alike. So what is degraded, not found or far away is looked for from near, too.
-  const bool degraded = result_.status == TrackResult::Status::DEGRADED;
+  const bool degraded = !lost_ && result_.status == TrackResult::Status::DEGRADED;
+  // Past the last predictor there are only the last steps, if there are any.
+  const std::size_t last = options_.whole_region ? t.levels() : t.levels() - 1;
   std::optional<SearchResult> best;
   int iterations = 0;
-  for (std::size_t level = first; level <= t.levels(); ++level)
+  for (std::size_t level = first; level <= last; ++level)
   {
     const SearchResult found = t.search(image, start, level);
     iterations += found.iterations;

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <limits>
+#include <stdexcept>
 
 #include <Eigen/Cholesky>
 #include <Eigen/QR>
@@ -72,7 +73,12 @@ Predictor learnPredictor(Eigen::MatrixXf& differences, const Eigen::MatrixXf& mo
   {
     normal.diagonal().array() += (ridge - before) * unit;
     before = ridge;
-    const Predictor candidate = normal.selfadjointView<Eigen::Lower>().llt().solve(moments);
+    const Eigen::LLT<Eigen::MatrixXf> factors(normal.selfadjointView<Eigen::Lower>());
+    if (factors.info() != Eigen::Success)
+    {
+      continue;  // by rounding not positive definite: it takes a larger ridge
+    }
+    const Predictor candidate = factors.solve(moments);
     const float error =
         (judging.transpose() * candidate - motions.bottomRows(kept_out)).squaredNorm() / static_cast<float>(kept_out) +
         (candidate.transpose() * covariance.selfadjointView<Eigen::Lower>() * candidate).trace();
@@ -82,6 +88,10 @@ Predictor learnPredictor(Eigen::MatrixXf& differences, const Eigen::MatrixXf& mo
     }
     least = error;
     best = candidate;
+  }
+  if (best.size() == 0)
+  {
+    throw std::invalid_argument("region: no predictor can be learnt from its image with these ranges");
   }
   nuisance.removeFrom(best);
 

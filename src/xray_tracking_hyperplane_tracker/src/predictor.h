@@ -39,6 +39,7 @@ using Predictor = Eigen::Matrix<float, Eigen::Dynamic, Eigen::Dynamic>;  ///< A^
 /// a finite number of motions needs beside the known covariance, is the one with which motions kept out of the training
 /// are predicted best under C. Nuisance patterns are removed on both sides; A is scaled so that its answers have slope
 /// one over the motions.
+/// @throws std::invalid_argument if the equations cannot be solved with any ridge
 /// @param differences H, points x motions; the nuisance's patterns are removed in place
 /// @param motions M, motions x parameters; @param covariance C of the differences that are not the motions'
 Predictor learnPredictor(Eigen::MatrixXf& differences, const Eigen::MatrixXf& motions,

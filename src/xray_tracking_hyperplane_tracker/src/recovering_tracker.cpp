@@ -1,5 +1,7 @@
 #include "xray_tracking_hyperplane_tracker/recovering_tracker.h"
 
+#include <algorithm>
+#include <iterator>
 #include <vector>
 
 namespace xray_tracking
@@ -43,15 +45,18 @@ void RecoveringTracker::recover(const cv::Mat& image)
   {
     starts.push_back(candidate.displacement);
   }
-  std::vector<TrackResult> refined;
-  for (const Eigen::Vector2d& start : starts)
+  // What one candidate is found by must not make it easier for the next one, or in the next image.
+  const auto refine = [&](const Eigen::Vector2d& start)
   {
-    refined.push_back(tracker_->trackFrom(image, start));
-  }
+    tracker_->setLost();
+    return tracker_->trackFrom(image, start);
+  };
+  std::vector<TrackResult> refined;
+  std::transform(starts.begin(), starts.end(), std::back_inserter(refined), refine);
   if (const std::optional<std::size_t> proven = provenCandidate(refined))
   {
     // The next search is to start from there, not from the last of the others.
-    result_ = *proven + 1 < starts.size() ? tracker_->trackFrom(image, starts[*proven]) : refined[*proven];
+    result_ = *proven + 1 < starts.size() ? refine(starts[*proven]) : refined[*proven];
     lost_ = !result_.found();
     return;
   }

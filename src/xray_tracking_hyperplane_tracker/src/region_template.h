@@ -52,7 +52,8 @@ public:
   /// or, without them, the finest predictor, stays that of the first image: errors do not add up.
   void learnAgain(const cv::Mat& image, const Warp& warp);
 
-  /// @param first_level of the predictors; past the last one, only the last steps are done. No allocation.
+  /// @param first_level of the predictors; past the last one, which needs `whole_region`, only the last steps are done.
+  /// No allocation.
   SearchResult search(const cv::Mat& image, const Warp& start, std::size_t first_level);
 
   const cv::Size& imageSize() const { return size_; }

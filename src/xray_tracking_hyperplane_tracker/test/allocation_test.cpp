@@ -55,8 +55,6 @@ TEST(Allocation, trackingDoesNotAllocate)
 {
   IntensityModel intensity;
   intensity.offset = kOffset;
-  HyperplaneTracker tracker({}, intensity);
-  tracker.train(expose({}), cv::Rect(70, 55, 100, 90));
   std::vector<cv::Mat> images = { cv::Mat::zeros(exposureSize(), CV_16UC1) };
   for (const double shift : { 0.0, 5.0, 21.0, 60.0, 100.0, -3.0 })
   {
@@ -64,11 +62,23 @@ TEST(Allocation, trackingDoesNotAllocate)
     exposure.displacement = { shift, 0.5 * shift };
     images.push_back(expose(exposure));
   }
-  const int before = allocations;
-  for (const cv::Mat& image : images)
+  for (const MotionModel model :
+       { MotionModel::TRANSLATION, MotionModel::EUCLIDEAN, MotionModel::SIMILARITY, MotionModel::AFFINE })
   {
-    tracker.track(image);
+    for (const bool whole_region : { true, false })
+    {
+      HyperplaneTrackerOptions options;
+      options.model = model;
+      options.whole_region = whole_region;
+      HyperplaneTracker tracker(options, intensity);
+      tracker.train(expose({}), cv::Rect(70, 55, 100, 90));
+      const int before = allocations;
+      for (const cv::Mat& image : images)
+      {
+        tracker.track(image);
+      }
+      EXPECT_EQ(allocations - before, 0) << static_cast<int>(model) << " parameters, whole region: " << whole_region;
+    }
   }
-  EXPECT_EQ(allocations - before, 0);
 }
 }  // namespace xray_tracking

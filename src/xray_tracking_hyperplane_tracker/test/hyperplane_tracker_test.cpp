@@ -261,6 +261,29 @@ TEST(HyperplaneTracker, isLostInAnImageWithoutTheTarget)
   }
 }
 
+TEST(HyperplaneTracker, predictorsAloneDoNotTakeAnythingElseForTheTarget)
+{
+  HyperplaneTrackerOptions options;
+  options.whole_region = false;
+  HyperplaneTracker tracker = trainedTracker({}, options);
+  cv::Mat foreign;
+  for (std::uint32_t seed = 1; seed < 5; ++seed)
+  {
+    for (const double contrast : { -1.0, -0.5 })
+    {
+      Exposure negative;
+      negative.contrast = contrast;
+      negative.noise = 0.05;
+      negative.seed = seed;
+      const cv::Mat image = expose(negative);
+      EXPECT_FALSE(tracker.track(image).found()) << contrast << ", correlation " << tracker.result().correlation;
+      cv::flip(image, foreign, -1);
+      EXPECT_FALSE(tracker.track(foreign).found()) << contrast << ", correlation " << tracker.result().correlation;
+    }
+    expectFollows(tracker, expose({}), Eigen::Vector2d::Zero(), kInterpolation);
+  }
+}
+
 TEST(HyperplaneTracker, isFoundAgainOnlyWellAboveTheThreshold)
 {
   // Noise of this size lowers the correlation to between the two thresholds.
@@ -360,8 +383,14 @@ TEST(HyperplaneTrackerOptions, namesTheOptionThatIsWrong)
         o.ranges = { 4.0, 8.0 };
       } },
     { "ranges is nan", [](Options& o) { o.ranges = { std::nan("") }; } },
+    { "ranges is 2e+09", [](Options& o) { o.ranges = { 2e9 }; } },
     { "training_motions is 0", [](Options& o) { o.training_motions = 0; } },
     { "bin is 0", [](Options& o) { o.bin = 0; } },
+    { "rotation_range is 90", [](Options& o) { o.rotation_range = 90.0; } },
+    { "scale_range is 1", [](Options& o) { o.scale_range = 1.0; } },
+    { "background is 1e+300", [](Options& o) { o.background = 1e300; } },
+    { "background is nan", [](Options& o) { o.background = std::nan(""); } },
+    { "max_iterations is 2000", [](Options& o) { o.max_iterations = 2000; } },
     { "rotation_range is 0", [](Options& o) { o.rotation_range = 0.0; } },
     { "scale_range is nan", [](Options& o) { o.scale_range = std::nan(""); } },
     { "good_quality is 2", [](Options& o) { o.good_quality = 2.0; } },

@@ -30,6 +30,15 @@ void expectAt(RecoveringTracker& tracker, const cv::Mat& image, const Eigen::Vec
 
 const cv::Mat kNothing = cv::Mat::zeros(kSize, CV_16UC1);
 
+/// The region with what is around it, twice.
+cv::Mat exposeTwice(const SpineField& spine)
+{
+  cv::Mat image = spine.expose({ 0.0, 0.0 }, kNoise, 3);
+  const cv::Rect around = kRegion + cv::Size(0, 40) - cv::Point(0, 20);
+  image(around).copyTo(image(around + cv::Point(0, 130)));
+  return image;
+}
+
 TEST(RecoveringTracker, findsTheRegionAnywhereAfterALoss)
 {
   const SpineField spine(0.5);
@@ -59,6 +68,29 @@ TEST(RecoveringTracker, followsNoTwinOnceLost)
   {
     EXPECT_FALSE(tracker.track(twins.expose({ 1.0, 2.0 }, kNoise, seed)).found());
   }
+}
+
+TEST(RecoveringTracker, isLostUntilItIsFoundByItsOwnThreshold)
+{
+  // The region in noise that lets it be followed, but not found again.
+  const SpineField spine(2.0);
+  const cv::Mat noisy = spine.expose({ 0.0, 0.0 }, 3.0 * kNoise, 1);
+  auto probe = makeTracker<HyperplaneTracker, HyperplaneTrackerOptions>();
+  probe.train(spine.expose({ 0.0, 0.0 }, kNoise, 0), kRegion);
+  const double correlation = probe.track(noisy).correlation;
+  HyperplaneTrackerOptions options;
+  options.min_correlation = correlation - 0.1;
+  options.found_correlation = correlation + 0.02;
+
+  auto tracker = makeTracker<HyperplaneTracker, HyperplaneTrackerOptions>(options);
+  tracker.train(spine.expose({ 0.0, 0.0 }, kNoise, 0), kRegion);
+  EXPECT_TRUE(tracker.track(noisy).found());
+  EXPECT_FALSE(tracker.track(kNothing).found());
+  EXPECT_FALSE(tracker.track(noisy).found());
+  // Candidates that look alike, each good enough, prove nothing, now or later.
+  EXPECT_FALSE(tracker.track(exposeTwice(spine)).found());
+  EXPECT_FALSE(tracker.track(noisy).found());
+  expectAt(tracker, spine.expose({ 1.0, 2.0 }, kNoise, 2), { 1.0, 2.0 });
 }
 
 TEST(RecoveringTracker, servesOtherMethods)

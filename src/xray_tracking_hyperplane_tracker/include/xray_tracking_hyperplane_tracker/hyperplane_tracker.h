@@ -23,20 +23,20 @@ struct HyperplaneTrackerOptions
   int points = 400;
   /// Edge of the square bins of pixels whose means the points sample [px]; 1..16. 1: single pixels, as in the paper.
   int bin = 4;
-  /// Largest trained translation of every predictor, coarse to fine [px]; > 0, falling.
+  /// Largest trained translation of every predictor, coarse to fine [px]; > 0, up to 1000, falling.
   std::vector<double> ranges{ 40.0, 16.0, 5.0 };
-  /// Largest trained rotation [deg] and relative change of scale and shear of the coarsest predictor; > 0, used by
-  /// models that have them. The finer predictors' are smaller as their translations are.
+  /// Largest trained rotation [deg], > 0 to 45, and relative change of scale and shear, > 0 to 0.5, of the coarsest
+  /// predictor; used by models that have them. The finer predictors' are smaller as their translations are.
   double rotation_range = 8.0;
   double scale_range = 0.08;
   /// Random motions that a predictor is learnt from; 50..100000.
   int training_motions = 800;
   /// Weight of the overlay that moves on its own (see HyperplaneTracker): its grey-value changes beside those of
-  /// motions by up to 1.5 px; >= 0.
+  /// motions by up to 1.5 px; 0..1000.
   double background = 1.0;
   /// Whether the last steps use all pixels of the region; else the predictors' answer is the result, as in the paper.
   bool whole_region = true;
-  /// Steps of eq. (1) a predictor; >= 1.
+  /// Steps of eq. (1) a predictor; 1..1000.
   int max_iterations = 20;
   /// A step shorter than this ends the predictors' iteration [px]; > 0.
   double convergence = 0.05;
@@ -101,6 +101,7 @@ public:
   cv::Rect region() const override;
   const TrackResult& track(const cv::Mat& image) override;
   const TrackResult& trackFrom(const cv::Mat& image, const Eigen::Vector2d& displacement) override;
+  void setLost() override { lost_ = true; }
   const TrackResult& result() const override { return result_; }
 
   /// Tracks, and where the region is found learns the predictors anew from this image, for a region whose looks have

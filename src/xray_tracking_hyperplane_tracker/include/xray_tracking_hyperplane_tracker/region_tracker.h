@@ -69,6 +69,9 @@ public:
   ///        is, is not looked at; the linear part starts as the identity
   virtual const TrackResult& trackFrom(const cv::Mat& image, const Eigen::Vector2d& displacement) = 0;
 
+  /// The region counts as lost until it is found, by the threshold of what is lost.
+  virtual void setLost() = 0;
+
   /// The last result of track() or trackFrom(); zero displacement after training.
   virtual const TrackResult& result() const = 0;
 };

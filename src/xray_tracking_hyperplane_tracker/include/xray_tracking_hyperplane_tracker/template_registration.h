@@ -64,6 +64,7 @@ public:
   cv::Rect region() const override;
   const TrackResult& track(const cv::Mat& image) override;
   const TrackResult& trackFrom(const cv::Mat& image, const Eigen::Vector2d& displacement) override;
+  void setLost() override { lost_ = true; }
   const TrackResult& result() const override { return result_; }
 
   /// From now on judges by these min_correlation and found_correlation; all else stays.
