@@ -111,16 +111,9 @@ BeamGate::Verdict BeamGate::judge(const GateExposure& exposure) const
     return { GateReason::STALE, compose("the exposure was ", seconds(exposure.delay),
                                         " s old when its pose came, expected at most ", seconds(maxAge()), " s") };
   }
-  if (last_place_)
+  if (Verdict verdict = judgeSpeed(exposure); verdict.reason != GateReason::NONE)
   {
-    // Over a longer time than exposures stay young, nothing vouches for the way in between.
-    const double elapsed = seconds(std::min(exposure.stamp - last_place_->first, maxAge()));
-    const double speed = (exposure.displacement - last_place_->second).norm() / elapsed;
-    if (speed > options_.max_speed)
-    {
-      return { GateReason::JUMP, compose("the target moved by ", (exposure.displacement - last_place_->second).norm(),
-                                         " mm, at ", speed, " mm/s, expected at most ", options_.max_speed) };
-    }
+    return verdict;
   }
   const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> axes(exposure.covariance, Eigen::EigenvaluesOnly);
   const double variance = axes.eigenvalues()[2];
@@ -134,6 +127,22 @@ BeamGate::Verdict BeamGate::judge(const GateExposure& exposure) const
     return { GateReason::UNCERTAIN, exposure.doubt };
   }
   return judgePlace(exposure.displacement, exposure.rotation);
+}
+
+BeamGate::Verdict BeamGate::judgeSpeed(const GateExposure& exposure) const
+{
+  if (last_place_)
+  {
+    // Over a longer time than exposures stay young, nothing vouches for the way in between.
+    const double elapsed = seconds(std::min(exposure.stamp - last_place_->first, maxAge()));
+    const double distance = (exposure.displacement - last_place_->second).norm();
+    if (distance > options_.max_speed * elapsed)
+    {
+      return { GateReason::JUMP, compose("the target moved by ", distance, " mm, at ", distance / elapsed,
+                                         " mm/s, expected at most ", options_.max_speed) };
+    }
+  }
+  return { GateReason::NONE, "" };
 }
 
 BeamGate::Verdict BeamGate::judgePlace(const Eigen::Vector3d& displacement, double rotation) const
@@ -168,13 +177,14 @@ bool BeamGate::update(const GateExposure& exposure)
   const bool measured = exposure.fault == GateReason::NONE && verdict.reason != GateReason::NOT_MEASURED;
   if (measured)
   {
+    // Also of an exposure that is refused for its stamp or age: the next one is compared with it.
+    if (judgeSpeed(exposure).reason == GateReason::JUMP)
+    {
+      jump_ = exposure.stamp;
+    }
     displacement_ = exposure.displacement;
     rotation_ = exposure.rotation;
     last_place_.emplace(exposure.stamp, exposure.displacement);
-  }
-  if (verdict.reason == GateReason::JUMP)
-  {
-    jump_ = exposure.stamp;
   }
 
   // A missing exposure is a missed chance to see that something is wrong, if it is missing for long.

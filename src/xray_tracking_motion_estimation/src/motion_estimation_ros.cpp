@@ -242,6 +242,7 @@ void MotionEstimationRos::tellGate(const PatientMotion& motion, const std::optio
     exposure.displacement = displacement(estimate->room_from_patient);
     exposure.rotation = rotationAngle(estimate->room_from_patient * setup_.room_from_patient.inverse());
     exposure.covariance = estimate->covariance.topLeftCorner<3, 3>();
+    exposure.doubt = start_doubt_;
     for (std::size_t i = 0; i < views_.size(); ++i)
     {
       if (views_[i].doubt.state == PatientMotion::OK && assembler_->exposure()[i]->state == TrackedRegion::DEGRADED)
@@ -270,6 +271,12 @@ void MotionEstimationRos::forget()
   last_pose_.reset();
   predictor_->reset();
   refinement_->reset();
+  // A bag that is played again begins with the patient where it began. A clock that was set, or an old exposure that is
+  // sent once more, finds the patient anywhere, and the trackers learn their templates there.
+  if (!ros::Time::isSimTime())
+  {
+    start_doubt_ = "time went back: that the patient was at the initial pose again is not confirmed by a refinement";
+  }
   gate_->reset("exposures start again");
 }
 }  // namespace xray_tracking

@@ -113,6 +113,7 @@ void MotionEstimationRos::accept(const Refinement& refinement)
   }
   reference_ = refinement.refined;
   reference_covariance_ = covariance;
+  start_doubt_.clear();
   consistency_->reset();
 
   Eigen::Vector3d correction = Eigen::Vector3d::Zero();

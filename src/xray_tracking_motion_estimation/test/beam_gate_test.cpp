@@ -301,6 +301,31 @@ TEST_F(BeamGateTest, ATargetFoundElsewhereAfterALossIsAJump)
   EXPECT_EQ(gate.reason(), GateReason::JUMP);
 }
 
+// Neither age nor a bad stamp hides it: exposures that follow are where it led.
+TEST_F(BeamGateTest, AJumpInARefusedExposureIsOne)
+{
+  for (const std::int64_t delay : { 4 * kInterval, -100 * kMillisecond })
+  {
+    openIt();
+    const auto there = [&]
+    {
+      GateExposure exposure = good();
+      exposure.displacement.x() = -1.5;
+      return exposure;
+    };
+    GateExposure refused = there();
+    refused.delay = delay;
+    gate.update(refused);
+    EXPECT_EQ(gate.reason(), delay > 0 ? GateReason::STALE : GateReason::BAD_STAMP);
+    for (int i = 1; i <= options.jump_exposures; ++i)
+    {
+      gate.update(there());
+      EXPECT_EQ(gate.open(), i == options.jump_exposures) << i;
+    }
+    gate.reset("next");
+  }
+}
+
 TEST_F(BeamGateTest, ARefinementMovesTheTargetWithoutAJump)
 {
   openIt();

@@ -7,14 +7,19 @@ import sys
 import numpy as np
 import rospy
 import rostest
+from rosgraph_msgs.msg import Log
 from xray_tracking_msgs.msg import BeamGate, PatientMotion, TrackedRegion
 
 sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
-from estimation_graph import LiveTestCase  # noqa: E402
+from estimation_graph import NANOSECONDS, LiveTestCase  # noqa: E402
 
 GOOD_EXPOSURES = 5  # the parameter's default
 LATENCY = 0.115  # s, as well
 STILL = np.zeros(3)
+
+
+def lose(regions):
+    regions[1].state = TrackedRegion.LOST
 
 
 class BeamGateTest(LiveTestCase):
@@ -77,9 +82,6 @@ class BeamGateTest(LiveTestCase):
         self.expect_closed(self.live(STILL)[1], BeamGate.CONFIRMING)
 
     def test_every_doubt_closes_it(self):
-        def lose(regions):
-            regions[1].state = TrackedRegion.LOST
-
         def disagree(regions):
             regions[0].displacement_x += 3.0
 
@@ -101,6 +103,22 @@ class BeamGateTest(LiveTestCase):
             self.expose_until_open()
             rospy.sleep(0.05)
             self.expect_closed(self.live(STILL, alter)[1], reason, words)
+
+    def test_transitions_are_in_the_log(self):
+        lines = []
+        subscriber = rospy.Subscriber('/rosout', Log, lambda message: lines.append(message.msg), queue_size=1000)
+        # Until the node's log is connected, transitions are not heard.
+        for _ in range(50):
+            self.expose_until_open()
+            rospy.sleep(0.05)
+            self.live(STILL, lose)
+            said = list(lines)
+            if any(line.startswith('beam gate: open, ') for line in said) and \
+                    any('beam gate: NOT_MEASURED, detector_b has lost' in line for line in said):
+                break
+        else:
+            self.fail('not in the log: %s' % lines)
+        subscriber.unregister()
 
     def test_displacement_closes_it(self):
         self.expose_until_open()
@@ -136,6 +154,18 @@ class BeamGateTest(LiveTestCase):
             self.assertFalse(self.live(np.array([2.9, 0.0, 0.0]))[1].open)
         rospy.sleep(0.1)
         self.live(np.array([1.0, 0.0, 0.0]))
+
+    def test_z_time_that_goes_back_closes_it_for_good(self):
+        """The last of the tests: nothing here confirms that the patient is at the initial pose again."""
+        self.expose_until_open()
+        stamp = rospy.Time.now().to_nsec() - 2 * NANOSECONDS
+        self.send(stamp, STILL)
+        self.graph.wait_for(lambda: self.gates_of(stamp), 'gate of the exposure of the past')
+        for _ in range(40):
+            rospy.sleep(0.05)
+            answer, gate = self.live(STILL)
+            self.assertEqual(answer.state, PatientMotion.OK, answer.reason)
+            self.expect_closed(gate, BeamGate.UNCERTAIN, 'time went back')
 
     def test_prediction(self):
         """For the time that is asked for, beside the pose, never on tf, and better than the pose itself."""

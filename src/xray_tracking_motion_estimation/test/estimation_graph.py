@@ -264,16 +264,13 @@ class EstimationTestCase(unittest.TestCase):
 
 
 class LiveTestCase(EstimationTestCase):
-    """Exposures that are stamped when they are made; the templates' reference is the first of them, without motion."""
+    """Exposures that are stamped when they are made; the templates' reference is an earlier one, without motion."""
 
     @classmethod
     def setUpClass(cls):
-        # Later than all that follows, so that the first live exposure starts over.
-        cls.warm_up = rospy.Time.now().to_nsec() + 1000 * NANOSECONDS
+        # Earlier than all that follows: time that goes back would keep the gate closed.
+        cls.warm_up = cls.reference = rospy.Time.now().to_nsec() - 1000 * NANOSECONDS
         super().setUpClass()
-        cls.reference = rospy.Time.now().to_nsec()
-        cls.send(cls.reference, np.zeros(3))
-        cls.graph.wait_for(lambda: cls.reference in cls.graph.motions, 'answer to the reference exposure')
 
     @classmethod
     def send(cls, stamp, motion, alter=lambda regions: None):

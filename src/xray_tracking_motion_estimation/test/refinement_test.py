@@ -10,7 +10,7 @@ import rospy
 import rostest
 from geometry_msgs.msg import Point, Quaternion
 from std_srvs.srv import Trigger
-from xray_tracking_msgs.msg import PatientMotion, RefinementResult, TrackedRegion
+from xray_tracking_msgs.msg import BeamGate, PatientMotion, RefinementResult, TrackedRegion
 from xray_tracking_msgs.srv import RefinePose, RefinePoseResponse
 
 sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
@@ -255,6 +255,25 @@ class RefinementTest(LiveTestCase):
         self.graph.wait_for(lambda: stamp in self.graph.poses, 'pose')
         place, _ = self.target_of(self.graph.poses[stamp][0].pose.pose)
         np.testing.assert_allclose(place, (self.graph.target + motion) / 1000.0, rtol=0, atol=TOLERANCE)
+
+    def test_8_confirms_where_the_patient_is_after_time_went_back(self):
+        """Only a refinement of a pose does: the one of the test before was of an exposure without."""
+        self.stand_in.shift = np.zeros(3)
+        for _ in range(10):
+            rospy.sleep(0.05)
+            _, gate = self.live(np.zeros(3))
+            self.assertEqual(gate.reason, BeamGate.UNCERTAIN, gate)
+            self.assertIn('time went back', gate.text)
+        accepted = self.count('refinements accepted')
+        self.demand()
+        self.live(np.zeros(3))
+        self.wait_until_counted('refinements accepted', accepted + 1)
+        for _ in range(100):
+            rospy.sleep(0.05)
+            _, gate = self.live(np.zeros(3))
+            if gate.open:
+                return
+        self.fail('the gate stays closed: %s' % gate)
 
 
 if __name__ == '__main__':

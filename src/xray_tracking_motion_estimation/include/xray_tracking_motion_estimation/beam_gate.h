@@ -122,6 +122,8 @@ private:
     std::string text;
   };
   Verdict judge(const GateExposure& exposure) const;
+  /// JUMP or NONE, by the latest place before.
+  Verdict judgeSpeed(const GateExposure& exposure) const;
   /// DISPLACED or NONE.
   Verdict judgePlace(const Eigen::Vector3d& displacement, double rotation) const;
   bool change(Verdict verdict);

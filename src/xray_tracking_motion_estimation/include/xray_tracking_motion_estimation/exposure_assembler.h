@@ -43,8 +43,8 @@ public:
     stamps_.resize(views);
   }
 
-  /// Whether exposures wait for this view, as they do at first. One that is not waited for and not there is an Item() in
-  /// exposure().
+  /// Whether exposures wait for this view, as they do at first. One that is not waited for and not there is an Item()
+  /// in exposure().
   void expect(std::size_t view, bool expected) { expected_[view] = expected; }
 
   /// @param stamp exposure time [ns]

@@ -138,6 +138,8 @@ private:
   std::optional<std::pair<std::int64_t, RigidTransform>> last_pose_;
   std::vector<std::optional<ViewMeasurement>> measurements_;
   std::optional<BeamGateRos> gate_;
+  /// Why the pose that all motion is counted from might be wrong, until it is refined; empty if there is no such doubt.
+  std::string start_doubt_;
   std::optional<PosePredictor> predictor_;
   std::optional<RefinementPolicy> refinement_;
   std::optional<RefinementClient> refinement_client_;
