@@ -6,11 +6,27 @@
 
 namespace xray_tracking
 {
+namespace
+{
+/// Weight of the latest image in the running mean.
+constexpr double kForgetting = 0.1;
+/// What is found again leaves at most so many times as much unexplained as the region usually did before the loss, and
+/// is not asked to leave less than a twentieth.
+constexpr double kAsBefore = 2.0;
+constexpr double kLittle = 0.05;
+
+double unexplained(const TrackResult& result)
+{
+  return 1.0 - result.correlation * result.correlation;
+}
+}  // namespace
+
 void RecoveringTracker::train(const cv::Mat& image, const cv::Rect& region)
 {
   tracker_->train(image, region);
   search_.emplace(image, region, intensity_);
   last_good_.setZero();
+  usual_unexplained_.reset();
   lost_ = false;
 }
 
@@ -35,7 +51,18 @@ const TrackResult& RecoveringTracker::track(const cv::Mat& image)
   {
     last_good_ = result_.displacement;
   }
+  if (!lost_ && result_.status == TrackResult::Status::TRACKED)
+  {
+    const double latest = unexplained(result_);
+    usual_unexplained_ =
+        usual_unexplained_ ? *usual_unexplained_ + kForgetting * (latest - *usual_unexplained_) : latest;
+  }
   return result_;
+}
+
+bool RecoveringTracker::asBefore(const TrackResult& found) const
+{
+  return !usual_unexplained_ || unexplained(found) <= std::max(kLittle, kAsBefore * *usual_unexplained_);
 }
 
 void RecoveringTracker::recover(const cv::Mat& image)
@@ -53,7 +80,8 @@ void RecoveringTracker::recover(const cv::Mat& image)
   };
   std::vector<TrackResult> refined;
   std::transform(starts.begin(), starts.end(), std::back_inserter(refined), refine);
-  if (const std::optional<std::size_t> proven = provenCandidate(refined))
+  const std::optional<std::size_t> proven = provenCandidate(refined);
+  if (proven && asBefore(refined[*proven]))
   {
     // The next search is to start from there, not from the last of the others.
     result_ = *proven + 1 < starts.size() ? refine(starts[*proven]) : refined[*proven];

@@ -56,7 +56,7 @@ void TrackerParameters::validate() const
   {
     throw std::invalid_argument(std::string("registration_") + error.what());
   }
-  requireInRange("queue_size", queue_size, 1, 100000);
+  requireInRange("queue_size", queue_size, 1, 1000);
   requireInRange("max_wait", max_wait, 0.0, 3600.0);
   requireInRange("train_timeout", train_timeout, 0.01, 3600.0);
   requireInRange("image_timeout", image_timeout, 0.01, 3600.0);

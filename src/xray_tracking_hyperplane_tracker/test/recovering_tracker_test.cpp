@@ -70,6 +70,21 @@ TEST(RecoveringTracker, followsNoTwinOnceLost)
   }
 }
 
+TEST(RecoveringTracker, followsNoNeighbourWhileTheRegionIsOutside)
+{
+  const SpineField spine(1.0);
+  auto tracker = makeTracker<HyperplaneTracker, HyperplaneTrackerOptions>();
+  tracker.train(spine.expose({ 0.0, 0.0 }, kNoise, 0), kRegion);
+  std::uint32_t seed = 1;
+  for (const double outside : { -7.0, -5.0, 5.3, 6.5 })
+  {
+    expectAt(tracker, spine.expose({ 1.0, 2.0 }, kNoise, seed++), { 1.0, 2.0 });
+    EXPECT_FALSE(tracker.track(kNothing).found());
+    EXPECT_FALSE(tracker.track(spine.expose({ 0.0, outside * kPeriod }, kNoise, seed++)).found())
+        << outside << " " << tracker.result().correlation;
+  }
+}
+
 TEST(RecoveringTracker, isLostUntilItIsFoundByItsOwnThreshold)
 {
   // The region in noise that lets it be followed, but not found again.

@@ -1,3 +1,4 @@
+#include <array>
 #include <fstream>
 #include <iostream>
 #include <set>
@@ -36,12 +37,15 @@ KnownSequence knownSequence(const ExposureSet& exposures, std::size_t d)
   return sequence;
 }
 
+constexpr std::array<MotionModel, 4> kModels{ MotionModel::TRANSLATION, MotionModel::EUCLIDEAN, MotionModel::SIMILARITY,
+                                              MotionModel::AFFINE };
+
 /// Of every model, those without one once.
 Contestants makeAllContestants(const IntensityModel& intensity)
 {
   Contestants all;
   std::set<std::string> names;
-  for (const MotionModel model : { MotionModel::TRANSLATION, MotionModel::EUCLIDEAN, MotionModel::AFFINE })
+  for (const MotionModel model : kModels)
   {
     for (auto& contestant : makeContestants(model, intensity))
     {
@@ -99,7 +103,7 @@ int benchmarkTracker(const po::variables_map& arguments)
             << std::endl;
   const std::string phantom = coreConfigPath("phantom_neck.yaml");
   const PlanarScene scene(phantom);
-  for (const MotionModel model : { MotionModel::TRANSLATION, MotionModel::EUCLIDEAN, MotionModel::AFFINE })
+  for (const MotionModel model : kModels)
   {
     report(benchmarkModel(scene, model));
   }

@@ -16,8 +16,9 @@ namespace xray_tracking
 /// A tracker that looks for its region in the whole image as soon as it has lost it, and for as long as it is lost.
 ///
 /// Once lost, a region counts as found only when it is proven (provenCandidate): of the places that look like it, the
-/// last good one among them, one is clearly better than all others. So nothing that takes the region's place meanwhile,
-/// a neighbour, is followed.
+/// last good one among them, one is clearly better than all others, and as good as the region was before the loss. So
+/// nothing that takes the region's place meanwhile, a neighbour, is followed, nor one that stays when the region has
+/// left the image. What neither can tell is a neighbour that is the region's twin while the region is outside.
 class RecoveringTracker
 {
 public:
@@ -38,11 +39,13 @@ public:
 
 private:
   void recover(const cv::Mat& image);
+  bool asBefore(const TrackResult& found) const;
 
   std::unique_ptr<RegionTracker> tracker_;
   IntensityModel intensity_;
   std::optional<RegionSearch> search_;
   Eigen::Vector2d last_good_ = Eigen::Vector2d::Zero();  ///< displacement [px]
+  std::optional<double> usual_unexplained_;              ///< 1 - correlation^2, running mean over the tracked images
   bool lost_ = false;
   TrackResult result_;
 };

@@ -27,8 +27,8 @@ cv::Mat lineIntegrals(const NeckPhantom& phantom, DetectorDescription detector, 
 {
   detector.pixel_pitch /= kRays;
   const double first = -0.5 * (kRays - 1);
-  detector.origin += first * (detector.pixel_pitch.x() * detector.x_direction +
-                              detector.pixel_pitch.y() * detector.y_direction);
+  detector.origin +=
+      first * (detector.pixel_pitch.x() * detector.x_direction + detector.pixel_pitch.y() * detector.y_direction);
   const cv::Size size(detector.image_size.x(), detector.image_size.y());
   detector.image_size *= kRays;
   cv::Mat soft, bone, pixels;

@@ -54,12 +54,17 @@ void deform(MotionModel model, cv::RNG& random, double share, PlanarMotion& moti
   const double largest_angle = 3.0 * kDegree;
   motion.rotation = std::clamp(motion.rotation + share * random.uniform(-largest_angle, largest_angle), -largest_angle,
                                largest_angle);
-  if (model == MotionModel::AFFINE)
+  if (model == MotionModel::EUCLIDEAN)
   {
-    for (double& scale : motion.scale)
-    {
-      scale = std::clamp(scale + share * random.uniform(-0.03, 0.03), 0.97, 1.03);
-    }
+    return;
+  }
+  for (double& scale : motion.scale)
+  {
+    scale = std::clamp(scale + share * random.uniform(-0.03, 0.03), 0.97, 1.03);
+  }
+  if (model == MotionModel::SIMILARITY)
+  {
+    motion.scale[1] = motion.scale[0];
   }
 }
 

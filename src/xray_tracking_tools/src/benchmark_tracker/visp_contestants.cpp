@@ -9,6 +9,7 @@
 #include <visp3/tt/vpTemplateTrackerWarpAffine.h>
 #include <visp3/tt/vpTemplateTrackerWarpHomographySL3.h>
 #include <visp3/tt/vpTemplateTrackerWarpRT.h>
+#include <visp3/tt/vpTemplateTrackerWarpSRT.h>
 #include <visp3/tt/vpTemplateTrackerWarpTranslation.h>
 #include <visp3/tt/vpTemplateTrackerZNCCInverseCompositional.h>
 #include <visp3/tt_mi/vpTemplateTrackerMIInverseCompositional.h>
@@ -119,6 +120,8 @@ void addVisp(MotionModel model, Contestants& contestants)
       addWithWarp<vpTemplateTrackerWarpRT>("Euclidean", contestants);
       break;
     case MotionModel::SIMILARITY:
+      addWithWarp<vpTemplateTrackerWarpSRT>("similarity", contestants);
+      break;
     case MotionModel::AFFINE:
       addWithWarp<vpTemplateTrackerWarpAffine>("affine", contestants);
       // ESM has no affine warp.
