@@ -14,6 +14,7 @@ import yaml
 PACKAGES = [name for name in rospkg.RosPack().list() if name.startswith("xray_tracking_")]
 METHODS = ("tracking", "registration", "tracking_and_registration")
 REQUIRED_ARGUMENTS = {
+    "trackers.launch": ["setup_file:=/setup.yaml"],
     "tracking.launch": ["setup_file:=/setup.yaml"],
     "playback.launch": ["bag:=/exposures.bag", "setup_file:=/setup.yaml"],
     "supervisor.launch": ["start_mode:=simulator", "start_service:=/start", "exposures:=1"],

@@ -41,12 +41,13 @@ def target_registration_error_mm(estimate, gold, box_mm):
 
 class GraphTestCase(unittest.TestCase):
     """Collects what the graph says, by stamp."""
+    detectors = DETECTORS
 
     @classmethod
     def setUpClass(cls):
         cls.lock = threading.Lock()
         cls.poses, cls.gold, cls.tf, cls.motions = {}, {}, {}, {}
-        cls.regions = {name: {} for name in DETECTORS}
+        cls.regions = {name: {} for name in cls.detectors}
         cls.tf_count = 0
         cls.diagnosis = {}  # motion_estimation's latest
         cls.subscribers = [
@@ -57,7 +58,7 @@ class GraphTestCase(unittest.TestCase):
             rospy.Subscriber("/diagnostics", DiagnosticArray, cls._diagnostics, queue_size=1000),
         ] + [
             rospy.Subscriber(f"{name}/tracked_region", TrackedRegion, cls._region, callback_args=name, queue_size=1000)
-            for name in DETECTORS
+            for name in cls.detectors
         ]
 
     @classmethod
@@ -137,7 +138,7 @@ class GraphTestCase(unittest.TestCase):
         me = rospy.get_name()
         topics = {"/patient_pose": [me], "/patient_motion": [me], "/patient_ground_truth": [me], "/tf": [me],
                   "/tf_static": ["/motion_estimation"]}
-        for name in DETECTORS:
+        for name in self.detectors:
             topics[f"/{name}/image_raw"] = ["/xray_nodelets"]
             topics[f"/{name}/camera_info"] = ["/motion_estimation"]
             topics[f"/{name}/tracked_region"] = ["/motion_estimation", me]

@@ -65,25 +65,26 @@ std::vector<std::string> stringList(XmlRpc::XmlRpcValue& value, const std::strin
   return strings;
 }
 
-/// Topics to names. The parameter server makes nested maps of topics with slashes: {detector_a: {image_raw: [names]}}.
-void addRequiredSubscribers(XmlRpc::XmlRpcValue& value, const std::string& topic, const ros::NodeHandle& nh,
-                            RequiredSubscribers& required)
+/// Topics, relative to a namespace, to names. The parameter server makes nested maps of topics with slashes:
+/// {detector_a: {image_raw: [names]}}.
+void addRequiredSubscribers(XmlRpc::XmlRpcValue& value, const std::string& key, const ros::NodeHandle& topics,
+                            const ros::NodeHandle& nodes, RequiredSubscribers& required, const std::string& topic = "")
 {
   if (value.getType() == XmlRpc::XmlRpcValue::TypeStruct)
   {
     for (auto& [name, inner] : value)
     {
-      addRequiredSubscribers(inner, topic.empty() ? name : topic + "/" + name, nh, required);
+      addRequiredSubscribers(inner, key, topics, nodes, required, topic.empty() ? name : topic + "/" + name);
     }
     return;
   }
   if (topic.empty())
   {
-    throw std::invalid_argument("~required_subscribers is not a map from topics to lists of node names");
+    throw std::invalid_argument(key + " is not a map from topics to lists of node names");
   }
-  for (const std::string& name : stringList(value, "~required_subscribers/" + topic))
+  for (const std::string& name : stringList(value, key + "/" + topic))
   {
-    required[nh.resolveName(topic)].push_back(nh.resolveName(name));
+    required[topics.resolveName(topic)].push_back(nodes.resolveName(name));
   }
 }
 }  // namespace
@@ -120,8 +121,10 @@ RunSupervisorRos::RunSupervisorRos(ros::NodeHandle nh, ros::NodeHandle pnh)
   XmlRpc::XmlRpcValue required;
   if (pnh.getParam("required_subscribers", required))
   {
-    addRequiredSubscribers(required, "", nh, required_subscribers_);
+    addRequiredSubscribers(required, "~required_subscribers", nh, nh, required_subscribers_);
   }
+  XmlRpc::XmlRpcValue required_of_detectors;
+  const bool detectors_require = pnh.getParam("required_detector_subscribers", required_of_detectors);
   XmlRpc::XmlRpcValue names;
   if (!pnh.getParam("detectors", names))
   {
@@ -130,6 +133,11 @@ RunSupervisorRos::RunSupervisorRos(ros::NodeHandle nh, ros::NodeHandle pnh)
   }
   for (const std::string& name : stringList(names, "~detectors"))
   {
+    if (detectors_require)
+    {
+      addRequiredSubscribers(required_of_detectors, "~required_detector_subscribers", ros::NodeHandle(nh, name), nh,
+                             required_subscribers_);
+    }
     DetectorCounts* counts = &detectors_[name];
     subscribers_.push_back(
         nh.subscribe<sensor_msgs::CameraInfo>(name + "/camera_info", 100,

@@ -25,7 +25,12 @@ int main(int argc, char** argv)
                       writeSequenceBag(sequence, arguments["OUT.bag"].as<std::string>(), Progress("exposure"));
                       const std::vector<Exposure>& exposures = sequence.exposures;
                       std::cout << exposures.size() << " exposures, "
-                                << 1e-9 * (exposures.back().stamp_ns - exposures.front().stamp_ns) << " s" << std::endl;
+                                << 1e-9 * (exposures.back().stamp_ns - exposures.front().stamp_ns) << " s, detectors";
+                      for (const ProjectionGeometry& detector : sequence.setup.detectors)
+                      {
+                        std::cout << ' ' << detector.name;
+                      }
+                      std::cout << std::endl;
                       return 0;
                     });
 }

@@ -46,7 +46,7 @@ TEST(SequenceToBag, convertsAndShowsProgress)
   writeTestSequence(folder);
   const CommandResult result = run("sequence_to_bag " + folder.file("") + " " + folder.file("out.bag") + " --frames 3");
   EXPECT_EQ(0, result.status) << result.output;
-  EXPECT_TRUE(contains(result.output, "exposure 3 / 3\n3 exposures, 0.5 s\n")) << result.output;
+  EXPECT_TRUE(contains(result.output, "exposure 3 / 3\n3 exposures, 0.5 s, detectors detector_a detector_b\n")) << result.output;
   EXPECT_TRUE(std::filesystem::exists(folder.file("out.bag")));
 }
 
@@ -184,6 +184,30 @@ TEST(EvaluateBag, writesResultsAndNamesTheUnanswered)
                                      " --setup " + folder.file("sequence.yaml") + " --frames 7");
   EXPECT_EQ(1, short_of.status);
   EXPECT_TRUE(contains(short_of.output, "6 exposures were found, expected 7")) << short_of.output;
+}
+
+TEST(EvaluateBag, judgesARunThatRegistersByTheRegistration)
+{
+  using xray_tracking_msgs::PatientMotion;
+  using xray_tracking_msgs::RefinementResult;
+  const TemporaryFolder folder;
+  writeTestSequence(folder);
+  for (const int last : { RefinementResult::SUCCESS, RefinementResult::UNRELIABLE })
+  {
+    RecordedRun recorded(folder.file("run.bag"));
+    recorded.answer(ros::Time(50, 0), 1, 2, 3);
+    recorded.motion(ros::Time(51, 0), PatientMotion::LOST, "the views disagree");
+    for (int k = 0; k < 2; ++k)
+    {
+      const int status = k == 1 ? last : RefinementResult::SUCCESS;
+      recorded.refined(ros::Time(50 + k, 0), "tracking_and_registration", status, 1, 2, 3);
+    }
+    recorded.close();
+    const CommandResult result = run("evaluate_bag " + folder.file("run.bag") + " " + folder.file("results") +
+                                     " --setup " + folder.file("sequence.yaml"));
+    EXPECT_EQ(last == RefinementResult::SUCCESS ? 0 : 1, result.status) << result.output;
+    EXPECT_TRUE(contains(result.output, "frame 1 (51.0000 s) lost: the views disagree\n")) << result.output;
+  }
 }
 
 TEST(EvaluateBag, writesTheSequencesStampsAndTheFirstPose)

@@ -21,7 +21,8 @@ namespace xray_tracking
 {
 /// Makes a run of the graph begin when everybody listens, and end when every exposure is answered.
 ///
-/// Parameters: ~exposures, ~method, ~detectors, ~required_subscribers, ~start_mode, ~start_service, ~stall_timeout.
+/// Parameters: ~exposures, ~method, ~detectors, ~required_subscribers, ~required_detector_subscribers, ~start_mode,
+/// ~start_service, ~stall_timeout.
 /// Subscribes: patient_motion, <detector>/camera_info, <detector>/tracked_region, and refined_pose if the method
 /// registers.
 /// Calls: ~start_service (std_srvs/Trigger of a simulator, or std_srvs/SetBool of rosbag play's pause_playback).
