@@ -28,7 +28,7 @@ int main(int argc, char** argv)
                                 << 1e-9 * (exposures.back().stamp_ns - exposures.front().stamp_ns) << " s, detectors";
                       for (const ProjectionGeometry& detector : sequence.setup.detectors)
                       {
-                        std::cout << ' ' << detector.name;
+                        std::cout << ' ' << detector.name();
                       }
                       std::cout << std::endl;
                       return 0;

@@ -1,6 +1,7 @@
 #include "xray_tracking_tools/treatment_room_markers.h"
 
 #include <cmath>
+#include <sstream>
 #include <string>
 
 #include "xray_tracking_conversions/conversions.h"
@@ -12,7 +13,27 @@ namespace
 using visualization_msgs::Marker;
 using xray_tracking_msgs::TrackedRegion;
 
-constexpr double kLineWidth = 0.004;  // [m]
+constexpr double kLineWidth = 0.004;     // [m]
+constexpr std::size_t kLineLength = 44;  // characters; so much fits between the sources
+
+/// Text in lines that are broken at spaces.
+std::string wrapped(const std::string& text)
+{
+  std::istringstream words(text);
+  std::string lines;
+  std::size_t length = 0;
+  for (std::string word; words >> word; length += word.size())
+  {
+    if (!lines.empty())
+    {
+      const bool fits = length + 1 + word.size() <= kLineLength;
+      lines += fits ? ' ' : '\n';
+      length = fits ? length + 1 : 0;
+    }
+    lines += word;
+  }
+  return lines;
+}
 
 std_msgs::ColorRGBA colour(float r, float g, float b, float a)
 {
@@ -230,9 +251,9 @@ Marker trailMarker(const std::vector<geometry_msgs::Point>& points)
 Marker gateMarker(bool open, const std::string& why)
 {
   Marker marker = makeMarker("beam_gate", 0, Marker::TEXT_VIEW_FACING, open ? kOpenColour : kHoldColour);
-  marker.pose.position.z = 0.3;
-  marker.scale.z = 0.04;
-  marker.text = (open ? "beam gate open: " : "HOLD: ") + why;
+  marker.pose.position.z = 0.5;
+  marker.scale.z = 0.08;
+  marker.text = wrapped((open ? "beam gate open: " : "HOLD: ") + why);
   return marker;
 }
 }  // namespace xray_tracking

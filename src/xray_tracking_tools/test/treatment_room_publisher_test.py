@@ -197,8 +197,12 @@ class TreatmentRoomPublisherTest(unittest.TestCase):
             return shows(green, word)
 
         self.wait_for(lambda: shows_when_sent(True, "all well", BeamGate(open=True, text="all well")), "open gate")
-        self.wait_for(lambda: shows_when_sent(False, "too far", BeamGate(reason=BeamGate.DISPLACED, text="too far")),
+        reason = "too far " + "away " * 20 + "from where it was"
+        self.wait_for(lambda: shows_when_sent(False, "too far", BeamGate(reason=BeamGate.DISPLACED, text=reason)),
                       "closed gate")
+        lines = self.markers[("beam_gate", 0)].text.split("\n")
+        self.assertEqual(" ".join(lines), "HOLD: " + reason)
+        self.assertTrue(all(30 < len(line) <= 44 for line in lines[:-1]), lines)
         self.wait_for(lambda: shows_when_sent(True, "all well", BeamGate(open=True, text="all well")), "open gate")
         self.wait_for(lambda: shows(False, "nothing on beam_gate"), "hold as nothing comes any more")
 
