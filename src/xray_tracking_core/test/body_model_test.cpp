@@ -102,8 +102,15 @@ TEST(TargetMask, LabelMap)
                 });
   TargetMaskOptions options;
   options.outer_mm = 9.0;
-  expectWeightsAroundBall(targetMaskFromLabels(labels, 4, options), options);
-  expectError<std::runtime_error>([&] { targetMaskFromLabels(labels, 5, options); }, { "label 5" });
+  expectWeightsAroundBall(targetMaskFromLabels(labels.grid, labels, 4, options), options);
+  expectError<std::runtime_error>([&] { targetMaskFromLabels(labels.grid, labels, 5, options); }, { "label 5" });
+  VolumeGrid other = labels.grid;
+  other.patient_from_index.pretranslate(Eigen::Vector3d(0, 0, 0.5));
+  expectError<std::runtime_error>([&] { targetMaskFromLabels(other, labels, 4, options); }, { "label map", "grid" });
+  other = labels.grid;
+  ++other.size.x();
+  expectError<std::runtime_error>([&] { targetMaskFromLabels(other, labels, 4, options); },
+                                  { "label map", std::to_string(other.size.x()) });
 }
 
 TEST(TargetMask, Box)

@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <cstring>
 #include <fstream>
 #include <limits>
@@ -62,6 +63,20 @@ TEST_F(CtVolumeTest, WriteThenReadIsTheSame)
   }
   EXPECT_THROW(writeCtVolume(sampled(directions().front()), path("ct.jpg")), std::runtime_error);
   EXPECT_THROW(writeCtVolume(sampled(directions().front()), path("no_such_folder/ct.nrrd")), std::runtime_error);
+}
+
+TEST_F(CtVolumeTest, LabelsAreTakenAsTheyAre)
+{
+  CtVolume labels = sampled(directions().front());
+  std::fill(labels.hu.begin(), labels.hu.end(), std::int16_t{ 0 });
+  labels.hu[7] = 300;
+  for (const char* name : { "labels.nrrd", "labels.nii.gz" })
+  {
+    writeCtVolume(labels, path(name));
+    EXPECT_EQ(readLabelMap(path(name)).hu, labels.hu);
+    expectRefused(path(name), { "not Hounsfield units" });
+  }
+  EXPECT_THROW(readLabelMap(path("no_such.nrrd")), std::runtime_error);
 }
 
 /// The headers are written here, not by ITK, so that its reader cannot agree with its own writer in a mistake.
@@ -204,7 +219,7 @@ TEST_F(CtVolumeTest, ValuesThatAreNotHounsfieldUnits)
     image->GetBufferPointer()[5] = 0.0f;
     image->GetBufferPointer()[7] = value;
     writeByItk(image.GetPointer(), itk::NrrdImageIO::New().GetPointer(), path("float.nrrd"));
-    expectRefused(path("float.nrrd"), { "not Hounsfield units", "-32768 to 32767" });
+    expectRefused(path("float.nrrd"), { "expected Hounsfield units", "-32768 to 32767" });
   }
 }
 

@@ -90,12 +90,18 @@ RegistrationParameters readRegistrationParameters(const ros::NodeHandle& pnh)
   requireOption(parameters.bodies == 1 || parameters.bodies == 2, "bodies", parameters.bodies, "1 or 2");
   readNamed(reader, "rest", kRestMotions, parameters.options.rest);
   read(reader, "mask/from", parameters.mask);
-  requireOneOf("mask/from", parameters.mask, "bone", "box");
+  requireOption(parameters.mask == "bone" || parameters.mask == "labels" || parameters.mask == "box", "mask/from",
+                parameters.mask, "bone, labels or box");
   read(reader, "mask/threshold_hu", parameters.mask_options.threshold_hu);
   read(reader, "mask/closing_mm", parameters.mask_options.closing_mm);
   read(reader, "mask/inner_mm", parameters.mask_options.inner_mm);
   read(reader, "mask/outer_mm", parameters.mask_options.outer_mm);
   parameters.mask_options.validate();
+  read(reader, "mask/label_map", parameters.label_map);
+  requireOption((parameters.mask == "labels") != parameters.label_map.empty(), "mask/label_map", parameters.label_map,
+                "a volume file if mask/from is labels, else none");
+  read(reader, "mask/label", parameters.label);
+  requireInRange("mask/label", parameters.label, 1, 32767);
   read(reader, "mask/file", parameters.mask_file);
   readNamed(reader, "optimiser", kOptimisers, parameters.options.optimiser);
   read(reader, "similarity", parameters.options.similarity);

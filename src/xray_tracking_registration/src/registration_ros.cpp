@@ -169,9 +169,12 @@ std::shared_ptr<const Registration> RegistrationRos::makeRegistration(const std:
   {
     return std::make_shared<const Registration>(oneBody(ct), setup_.target_box, parameters_.options);
   }
-  const TargetMask mask = parameters_.mask == "bone"
-                              ? targetMaskFromBone(ct, setup_.target_box, parameters_.mask_options)
-                              : targetMaskFromBox(ct.grid, setup_.target_box, parameters_.mask_options);
+  const TargetMaskOptions& options = parameters_.mask_options;
+  const TargetMask mask =
+      parameters_.mask == "bone" ? targetMaskFromBone(ct, setup_.target_box, options)
+      : parameters_.mask == "box"
+          ? targetMaskFromBox(ct.grid, setup_.target_box, options)
+          : targetMaskFromLabels(ct.grid, readLabelMap(parameters_.label_map), parameters_.label, options);
   if (!parameters_.mask_file.empty())
   {
     writeTargetMask(mask, parameters_.mask_file);

@@ -14,7 +14,7 @@ import rostest
 
 sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
 from registration_test_case import (DETECTORS, EXPOSURES, RegistrationTestCase, Sender, TIMEOUT,  # noqa: E402
-                                    not_a_volume, shifted, small_volume)
+                                    not_a_volume, read_volume, shifted, small_volume, write_volume)
 from xray_tracking_msgs.msg import RefinedPose, RefinementRequest, RefinementResult  # noqa: E402
 from xray_tracking_msgs.srv import LoadVolume, RefinePose  # noqa: E402
 
@@ -133,6 +133,35 @@ class MethodsTest(RegistrationTestCase):
         answer = rospy.ServiceProxy("/bad_parameter/registration/load_volume", LoadVolume)("/nowhere")
         self.assertFalse(answer.success)
         self.assertIn("guessing", answer.message)
+
+    def test_mask_from_a_label_map(self):
+        with tempfile.TemporaryDirectory() as folder:
+            ct = small_volume(folder)
+            parameters = {"from": "labels", "label": 4, "label_map": os.path.join(folder, "labels.nrrd"),
+                          "file": os.path.join(folder, "mask.nrrd"), "inner_mm": 2.0, "outer_mm": 6.0}
+            rospy.set_param("/labels/registration", {"setup_file": rospy.get_param("/setup_file"), "source": "ct",
+                                                     "mask": parameters})
+            node = roslib.packages.find_node("xray_tracking_registration", "registration_node")[0]
+            process = subprocess.Popen([node, "__ns:=/labels"])
+            try:
+                load = rospy.ServiceProxy("/labels/registration/load_volume", LoadVolume)
+                load.wait_for_service(TIMEOUT)
+                labels = np.zeros((40, 40, 40), np.int16)
+                labels[10:14, 20:22, 15:25] = 4
+                for wrong, words in ((labels[:30], "label map of 40 x 40 x 30 voxels"), (labels // 2, "label 4")):
+                    write_volume(parameters["label_map"], wrong)
+                    self.wait_for(lambda: words in load(ct).message, words)
+                write_volume(parameters["label_map"], labels)
+                answer = load(ct)
+                self.assertTrue(answer.success, answer.message)
+                weights = read_volume(parameters["file"])
+                self.assertEqual(np.count_nonzero(weights == 1000), np.count_nonzero(labels))
+                # One voxel of 4 mm around it is half way between 2 and 6 mm, what is farther away is the rest's.
+                self.assertEqual(weights.shape, (4 + 4, 2 + 4, 10 + 4))
+                self.assertEqual(weights[4, 3, 1], 500)
+            finally:
+                process.send_signal(signal.SIGINT)
+                self.assertEqual(process.wait(20.0), 0)
 
     def test_shutdown_in_the_middle(self):
         rospy.set_param("/stopping/registration/setup_file", rospy.get_param("/setup_file"))

@@ -1,4 +1,5 @@
 """What the node's tests share: exposures of the phantom, and requests about them."""
+import gzip
 import os
 import threading
 import time
@@ -130,15 +131,31 @@ def not_a_volume(folder):
     return path
 
 
+VOLUME_HEADER = ("NRRD0004\ntype: short\ndimension: 3\nspace: left-posterior-superior\nsizes: {} {} {}\n"
+                 "space directions: (4,0,0) (0,4,0) (0,0,4)\nkinds: domain domain domain\nendian: little\n"
+                 "encoding: raw\nspace origin: (-78,-78,-78)\n\n")
+
+
+def write_volume(path, values):
+    """Values (z, y, x), voxels of 4 mm."""
+    with open(path, "wb") as file:
+        file.write(VOLUME_HEADER.format(*values.shape[::-1]).encode() + values.astype("<i2").tobytes())
+
+
+def read_volume(path):
+    """@return values (z, y, x) of a NRRD of shorts, raw or compressed"""
+    with open(path, "rb") as file:
+        header, data = file.read().split(b"\n\n", 1)
+    fields = dict(line.split(": ", 1) for line in header.decode().split("\n") if ": " in line)
+    data = gzip.decompress(data) if fields["encoding"] in ("gzip", "gz") else data
+    return np.frombuffer(data, "<i2").reshape([int(size) for size in fields["sizes"].split()][::-1])
+
+
 def small_volume(folder):
     """Water with a rod of bone through the target, voxels of 4 mm."""
     path = os.path.join(folder, "small.nrrd")
     index = np.stack(np.meshgrid(*[(np.arange(40) - 19.5) * 4.0] * 3, indexing="ij"), -1)  # z, y, x
     hu = np.where(np.hypot(index[..., 1], index[..., 2]) < 70.0, 0, -1000)
     hu[(np.abs(index[..., 1] - 10.0) < 9.0) & (np.abs(index[..., 2]) < 11.0)] = 700
-    header = ("NRRD0004\ntype: short\ndimension: 3\nspace: left-posterior-superior\nsizes: 40 40 40\n"
-              "space directions: (4,0,0) (0,4,0) (0,0,4)\nkinds: domain domain domain\nendian: little\n"
-              "encoding: raw\nspace origin: (-78,-78,-78)\n\n")
-    with open(path, "wb") as file:
-        file.write(header.encode() + hu.astype("<i2").tobytes())
+    write_volume(path, hu)
     return path

@@ -116,16 +116,10 @@ void requireRightAngles(const VolumeGrid& grid, const std::string& path)
   }
 }
 
-/// Rounds to whole HU. @throws if the values are no HU of a body in air
-std::vector<std::int16_t> toHu(const float* values, std::size_t count, const std::string& path)
+/// Rounds to whole numbers.
+std::vector<std::int16_t> toShorts(const float* values, std::size_t count, const std::string& path)
 {
-  constexpr float kTissue = 200.0f;       // either side of water
-  constexpr float kLowestAir = -1200.0f;  // with noise; below it, values that fill up what was not scanned
-  std::vector<std::int16_t> hu(count);
-  float lowest = std::numeric_limits<float>::max();
-  float highest = std::numeric_limits<float>::lowest();
-  bool tissue = false;
-  bool air = false;
+  std::vector<std::int16_t> shorts(count);
   for (std::size_t n = 0; n < count; ++n)
   {
     const float value = std::round(values[n]);
@@ -133,33 +127,40 @@ std::vector<std::int16_t> toHu(const float* values, std::size_t count, const std
     if (!(value >= std::numeric_limits<std::int16_t>::min() && value <= std::numeric_limits<std::int16_t>::max()))
     {
       std::ostringstream message;
-      message << "not Hounsfield units: holds the value " << value << ", expected -32768 to 32767";
+      message << "holds the value " << value << ", expected Hounsfield units or labels of -32768 to 32767";
       failCt(path, message.str());
     }
-    lowest = std::min(lowest, value);
-    highest = std::max(highest, value);
-    tissue = tissue || std::abs(value) <= kTissue;
-    air = air || (value >= kLowestAir && value < -kTissue);
-    hu[n] = static_cast<std::int16_t>(value);
+    shorts[n] = static_cast<std::int16_t>(value);
   }
+  return shorts;
+}
+
+/// @throws if the values are no HU of a body in air
+void requireHu(const std::vector<std::int16_t>& values, const std::string& path)
+{
+  constexpr int kTissue = 200;       // either side of water
+  constexpr int kLowestAir = -1200;  // with noise; below it, values that fill up what was not scanned
+  const auto [lowest, highest] = std::minmax_element(values.begin(), values.end());
+  const bool tissue = std::any_of(values.begin(), values.end(), [](int value) { return std::abs(value) <= kTissue; });
+  const bool air =
+      std::any_of(values.begin(), values.end(), [](int value) { return value >= kLowestAir && value < -kTissue; });
   std::ostringstream message;
-  if (lowest == highest)
+  if (*lowest == *highest)
   {
-    message << "all voxels are " << lowest;
+    message << "all voxels are " << *lowest;
   }
   else if (!air)
   {
-    message << "the lowest value is " << lowest << " and none lies between -1200 and -200, expected air, near -1000";
+    message << "the lowest value is " << *lowest << " and none lies between -1200 and -200, expected air, near -1000";
   }
   else if (!tissue)
   {
-    message << "no value between -200 and 200, where soft tissue is; they run from " << lowest << " to " << highest;
+    message << "no value between -200 and 200, where soft tissue is; they run from " << *lowest << " to " << *highest;
   }
   if (!message.str().empty())
   {
     failCt(path, "not Hounsfield units: " + message.str());
   }
-  return hu;
 }
 
 void requireKnownSpace(const itk::ImageIOBase& format, const std::string& path)
@@ -183,7 +184,7 @@ CtVolume readFile(const std::string& path)
       requireKnownSpace(*format, path);
       const VolumeGrid grid = gridOf(*image);
       requireUsableGrid(grid, path);
-      return { grid, toHu(image->GetBufferPointer(), grid.voxelCount(), path) };
+      return { grid, toShorts(image->GetBufferPointer(), grid.voxelCount(), path) };
     }
   }
   failCt(path, "not a NRRD, MetaImage or NIfTI file, nor a folder");
@@ -206,11 +207,10 @@ CtVolume readFolder(const std::string& path)
     values.insert(values.end(), slice->GetBufferPointer(),
                   slice->GetBufferPointer() + static_cast<std::size_t>(size.x()) * size.y());
   }
-  return { series.grid, toHu(values.data(), values.size(), path) };
+  return { series.grid, toShorts(values.data(), values.size(), path) };
 }
-}  // namespace
-
-CtVolume readCtVolume(const std::string& path)
+/// Values as the file has them.
+CtVolume readVolume(const std::string& path)
 {
   try
   {
@@ -233,6 +233,19 @@ CtVolume readCtVolume(const std::string& path)
   {
     failCt(path, "cannot be read: " + error.code().message());
   }
+}
+}  // namespace
+
+CtVolume readCtVolume(const std::string& path)
+{
+  CtVolume volume = readVolume(path);
+  requireHu(volume.hu, path);
+  return volume;
+}
+
+CtVolume readLabelMap(const std::string& path)
+{
+  return readVolume(path);
 }
 
 void writeCtVolume(const CtVolume& volume, const std::string& path)

@@ -20,6 +20,11 @@ namespace
 using Binary = itk::Image<unsigned char, 3>;
 using IsTarget = std::function<bool(int i, int j, int k)>;
 
+/// Apart from this, grids of two files are the same: formats differ in their numbers' precision [voxels].
+constexpr double kGridTolerance = 1e-3;
+
+const Eigen::IOFormat kVectorFormat(6, Eigen::DontAlignCols, ", ", ", ", "", "", "(", ")");
+
 /// A box of voxels: first index and size.
 struct IndexBox
 {
@@ -29,9 +34,17 @@ struct IndexBox
 
 std::string describe(const Eigen::AlignedBox3d& box)
 {
-  const Eigen::IOFormat format(6, Eigen::DontAlignCols, ", ", ", ", "", "", "(", ")");
   std::ostringstream text;
-  text << box.min().transpose().format(format) << " to " << box.max().transpose().format(format) << " mm";
+  text << box.min().transpose().format(kVectorFormat) << " to " << box.max().transpose().format(kVectorFormat) << " mm";
+  return text.str();
+}
+
+std::string describe(const VolumeGrid& grid)
+{
+  std::ostringstream text;
+  text << grid.size.x() << " x " << grid.size.y() << " x " << grid.size.z() << " voxels of "
+       << grid.spacing().transpose().format(kVectorFormat) << " mm about "
+       << grid.centre().transpose().format(kVectorFormat) << " mm";
   return text.str();
 }
 
@@ -204,16 +217,23 @@ TargetMask targetMaskFromBone(const CtVolume& ct, const Eigen::AlignedBox3d& tar
   return weightsAround(ct.grid, box, bone, options);
 }
 
-TargetMask targetMaskFromLabels(const CtVolume& labels, int label, const TargetMaskOptions& options)
+TargetMask targetMaskFromLabels(const VolumeGrid& ct_grid, const CtVolume& labels, int label,
+                                const TargetMaskOptions& options)
 {
   options.validate();
+  if (labels.grid.size != ct_grid.size || !(ct_grid.patient_from_index.inverse() * labels.grid.patient_from_index)
+                                               .isApprox(Eigen::Affine3d::Identity(), kGridTolerance))
+  {
+    throw std::runtime_error("label map of " + describe(labels.grid) + ", expected the CT's grid of " +
+                             describe(ct_grid));
+  }
   Eigen::AlignedBox3i voxels;
   std::size_t n = 0;
-  for (int k = 0; k < labels.grid.size.z(); ++k)
+  for (int k = 0; k < ct_grid.size.z(); ++k)
   {
-    for (int j = 0; j < labels.grid.size.y(); ++j)
+    for (int j = 0; j < ct_grid.size.y(); ++j)
     {
-      for (int i = 0; i < labels.grid.size.x(); ++i)
+      for (int i = 0; i < ct_grid.size.x(); ++i)
       {
         if (labels.hu[n++] == label)
         {
@@ -226,14 +246,14 @@ TargetMask targetMaskFromLabels(const CtVolume& labels, int label, const TargetM
   {
     throw std::runtime_error("label " + std::to_string(label) + " does not occur in the label map");
   }
-  const Eigen::Vector3i reach = (options.outer_mm / labels.grid.spacing().array()).ceil().cast<int>();
+  const Eigen::Vector3i reach = (options.outer_mm / ct_grid.spacing().array()).ceil().cast<int>();
   IndexBox box;
   box.first = (voxels.min() - reach).cwiseMax(0);
   box.size =
-      (voxels.max() + reach).cwiseMin(labels.grid.size - Eigen::Vector3i::Ones()) - box.first + Eigen::Vector3i::Ones();
-  const Binary::Pointer target = makeBinary(
-      labels.grid, box, [&](int i, int j, int k) { return labels.hu[labels.grid.offset(i, j, k)] == label; });
-  return weightsAround(labels.grid, box, target, options);
+      (voxels.max() + reach).cwiseMin(ct_grid.size - Eigen::Vector3i::Ones()) - box.first + Eigen::Vector3i::Ones();
+  const Binary::Pointer target =
+      makeBinary(ct_grid, box, [&](int i, int j, int k) { return labels.hu[ct_grid.offset(i, j, k)] == label; });
+  return weightsAround(ct_grid, box, target, options);
 }
 
 TargetMask targetMaskFromBox(const VolumeGrid& ct_grid, const Eigen::AlignedBox3d& target_box,

@@ -27,8 +27,10 @@ struct RegistrationParameters
   std::string setup_file;
   std::string source = "phantom";  ///< or "ct"
   int bodies = 2;
-  std::string mask = "bone";  ///< or "box"
+  std::string mask = "bone";  ///< or "labels" or "box"
   TargetMaskOptions mask_options;
+  std::string label_map;  ///< its path, for "labels"
+  int label = 1;
   std::string mask_file;  ///< where to write the mask; empty: nowhere
   RegistrationOptions options;
   double max_translation_mm = 30.0;

@@ -32,8 +32,9 @@ TargetMask targetMaskFromBone(const CtVolume& ct, const Eigen::AlignedBox3d& tar
                               const TargetMaskOptions& options = {});
 
 /// The same from a label map on the CT's grid: its voxels of the given value.
-/// @throws std::runtime_error if the label does not occur
-TargetMask targetMaskFromLabels(const CtVolume& labels, int label, const TargetMaskOptions& options = {});
+/// @throws std::runtime_error if the label does not occur, or the label map's grid is not the CT's
+TargetMask targetMaskFromLabels(const VolumeGrid& ct_grid, const CtVolume& labels, int label,
+                                const TargetMaskOptions& options = {});
 
 /// The same from the box alone: weight 1 in it and up to inner_mm around.
 /// @throws std::runtime_error naming the box if it holds no voxel
