@@ -16,7 +16,7 @@ enum class SimdLevel
 {
   GENERIC,  ///< what the compiler's target has, on any processor
   AVX2,     ///< and FMA
-  AVX512    ///< AVX-512F
+  AVX512    ///< AVX-512F and BW
 };
 
 /// The best level of this processor.
