@@ -12,9 +12,11 @@ constexpr int kMaxGroup = 16;
 constexpr int kMaxMomentGroup = 7;
 static_assert(32768ll * kOne * kMaxGroup < (1ll << 31), "a group's sum must fit");
 static_assert(32768ll * kOne * kMaxMomentGroup * (kMaxMomentGroup + 1) / 2 < (1ll << 31), "a group's moment must fit");
-/// Groups that are summed before the base plane is touched: few enough for neighbouring columns to find the voxels'
-/// cache lines again.
+/// Groups and slices that are summed before the base plane is touched: few enough for neighbouring columns to find the
+/// voxels' cache lines again.
 constexpr int kGroupsAtOnce = 8;
+constexpr int kSlicesAtOnce = 16;
+static_assert(kSlicesAtOnce >= kMaxGroup, "a group must fit");
 
 /// A group of slices as seen by a block of rows of the base plane.
 struct SliceGroup
@@ -140,7 +142,7 @@ inline void sumGroup(const SliceStack& stack, const SliceGroup& group, int colum
 #pragma GCC unroll 16
       for (int q = 0; q < kRowsAtOnce; ++q)
       {
-        __builtin_prefetch(row + kPrefetch);
+        __builtin_prefetch(row + kPrefetch, 0, 2);  // not into the first level, which it would sweep
         sum[q] += interpolate(row, lookup);
         if (with_moment)
         {
@@ -240,7 +242,8 @@ void accumulate(const SliceStack& stack, const BasePlane& base, int base_row, in
     int count = 0;
     int first_column = base.columns;
     int last_column = -1;
-    for (; slice < stack.slices && count < kGroupsAtOnce; slice += group_size)
+    const int end = slice + kSlicesAtOnce < stack.slices ? slice + kSlicesAtOnce / group_size * group_size : stack.slices;
+    for (; slice < end && count < kGroupsAtOnce; slice += group_size)
     {
       SliceGroup& group = groups[count];
       const int size = stack.slices - slice < group_size ? stack.slices - slice : group_size;
