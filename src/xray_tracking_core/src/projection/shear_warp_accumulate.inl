@@ -117,7 +117,7 @@ constexpr int kPrefetch = 32;
 template <bool with_moment>
 inline void sumGroup(const SliceStack& stack, const SliceGroup& group, int column, GroupSums& sums)
 {
-  constexpr int kRowsAtOnce = with_moment ? 4 : 8;  // as many as the sums' registers suffice for
+  constexpr int kRowsAtOnce = with_moment && kLanes < 16 ? 4 : 8;  // as many as the sums' registers suffice for
   static_assert(kVoxelRowsPerCall % kRowsAtOnce == 0, "rows are taken in whole blocks");
   const std::int16_t* voxels[kMaxGroup];
   Lookup lookups[kMaxGroup];

@@ -3,7 +3,7 @@
 
 #include "shear_warp_kernel.h"
 
-#if defined(__AVX2__)
+#if defined(__SSE2__)
 #include <immintrin.h>
 #endif
 
@@ -15,8 +15,10 @@ namespace
 {
 #if defined(__AVX512BW__)
 constexpr int kLanes = 16;
-#else
+#elif defined(__AVX2__)
 constexpr int kLanes = 8;
+#else
+constexpr int kLanes = 4;
 #endif
 
 using Float4 = float __attribute__((vector_size(16)));
@@ -60,7 +62,7 @@ constexpr int kOne = 1 << kOneBits;
 /// to kOne.
 struct Lookup
 {
-#if defined(__AVX2__)
+#if defined(__SSE2__)
   Ints pairs;    ///< the neighbours' places, as the processor's permutation takes them
   Ints weights;  ///< 16 bits each
 #else
@@ -84,6 +86,8 @@ inline Lookup makeLookup(float first, float step)
   return { left * 0x10001 + 0x10000, right_weight * 0xffff + kOne };
 #elif defined(__AVX2__)
   return { left * 0x02020202 + 0x03020100, right_weight * 0xffff + kOne };
+#elif defined(__SSE2__)
+  return { left, right_weight * 0xffff + kOne };
 #else
   return { left, kOne - right_weight, right_weight };
 #endif
@@ -100,6 +104,15 @@ inline Ints interpolate(const std::int16_t* voxels, const Lookup& lookup)
   const __m256i all = _mm256_broadcastsi128_si256(_mm_loadu_si128(reinterpret_cast<const __m128i*>(voxels)));
   const __m256i pairs = _mm256_shuffle_epi8(all, reinterpret_cast<__m256i>(lookup.pairs));
   return reinterpret_cast<Ints>(_mm256_madd_epi16(pairs, reinterpret_cast<__m256i>(lookup.weights)));
+#elif defined(__SSE2__)
+  const auto pair = [&](int lane)
+  {
+    int both;
+    __builtin_memcpy(&both, voxels + lookup.pairs[lane], sizeof(both));
+    return both;
+  };
+  const __m128i pairs = _mm_setr_epi32(pair(0), pair(1), pair(2), pair(3));
+  return reinterpret_cast<Ints>(_mm_madd_epi16(pairs, reinterpret_cast<__m128i>(lookup.weights)));
 #else
   Ints left;
   Ints right;
