@@ -22,7 +22,7 @@ constexpr int kRowsPerExtent = 8;
 /// Voxel rows that a call of accumulate() may need of a slice.
 constexpr int kVoxelRowsPerCall = 16;
 /// Rows of the base plane that a call of accumulate() may take.
-constexpr int kBaseRowsPerCall = 40;
+constexpr int kBaseRowsPerCall = 60;
 /// The base plane's columns are a multiple of this.
 constexpr int kBaseColumnGranule = 16;
 /// Zeros before and behind each row of voxels, one row's being the next one's.
