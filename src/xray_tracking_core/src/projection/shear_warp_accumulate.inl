@@ -1,11 +1,11 @@
 // Sums slices into the base plane; a part of shear_warp_kernel.inl.
 //
 // From slice to slice the base plane's points drift: along the columns by a voxel or so where the view is oblique, but
-// along the rows mostly by hundredths of one. A group of slices is thus interpolated along the columns and summed, voxel
-// row by voxel row, before the sum is interpolated along the rows.
+// along the rows mostly by hundredths of one. A group of slices is thus interpolated along the columns and summed,
+// voxel row by voxel row, before the sum is interpolated along the rows.
 
-/// What rows may drift by from a group's first slice to its last [voxel]. Slices before the group's middle and behind it
-/// are off to opposite sides, so that what this costs is small of second order.
+/// What rows may drift by from a group's first slice to its last [voxel]. Slices before the group's middle and behind
+/// it are off to opposite sides, so that what this costs is small of second order.
 constexpr float kMaxDrift = 0.1f;
 /// Slices in a group, so that sums of 16 bit voxels times kOne fit 32 bits; with moments, weighted sums.
 constexpr int kMaxGroup = 16;
@@ -242,7 +242,8 @@ void accumulate(const SliceStack& stack, const BasePlane& base, int base_row, in
     int count = 0;
     int first_column = base.columns;
     int last_column = -1;
-    const int end = slice + kSlicesAtOnce < stack.slices ? slice + kSlicesAtOnce / group_size * group_size : stack.slices;
+    const int end =
+        slice + kSlicesAtOnce < stack.slices ? slice + kSlicesAtOnce / group_size * group_size : stack.slices;
     for (; slice < end && count < kGroupsAtOnce; slice += group_size)
     {
       SliceGroup& group = groups[count];

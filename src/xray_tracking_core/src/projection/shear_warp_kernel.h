@@ -49,8 +49,8 @@ struct SliceStack
   const std::int16_t* voxels;  ///< of the first slice; kMargin before and behind each row are zeros
   std::ptrdiff_t slice_stride;
   std::ptrdiff_t row_stride;
-  int columns;  ///< neighbours in memory
-  int rows;  ///< kVoxelRowsPerCall may be read of fewer, and are zeros
+  int columns;               ///< neighbours in memory
+  int rows;                  ///< kVoxelRowsPerCall may be read of fewer, and are zeros
   const RowExtent* extents;  ///< of the first slice, extents_per_slice for each
   int extents_per_slice;
   const SliceView* views;

@@ -178,7 +178,8 @@ private:
     }
     stack.views = workspace.views.data();
     // Between the first and the last row that interpolation needs lie as many steps as fit between the others.
-    const int rows_per_call = std::min(kBaseRowsPerCall, static_cast<int>((kVoxelRowsPerCall - 2) / view.pitch.y()) + 1);
+    const int rows_per_call =
+        std::min(kBaseRowsPerCall, static_cast<int>((kVoxelRowsPerCall - 2) / view.pitch.y()) + 1);
     const int calls = (base_rows + rows_per_call - 1) / rows_per_call;
     tbb::parallel_for(0, calls,
                       [&](int call)

@@ -14,7 +14,7 @@ namespace
 /// coarsest, the distance of the points that are wanted. Rays along the slices' axis see the kinks of linear
 /// interpolation, at the voxels, in line from slice to slice, and need a finer one than rays that blur them.
 constexpr double kFinestPitch = 0.45;
-constexpr double kFinestPitchInLine = 0.25;
+constexpr double kFinestPitchInLine = 0.125;
 /// From this slope on they are blurred [voxel / slice].
 constexpr double kBlurringSlope = 0.25;
 constexpr double kCoarsestPitch = 0.8;
