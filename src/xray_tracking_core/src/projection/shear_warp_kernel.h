@@ -19,12 +19,14 @@ struct RowExtent
 
 /// Rows of a slice that share a RowExtent.
 constexpr int kRowsPerExtent = 8;
-/// Rows of the base plane that a call of accumulate() takes.
-constexpr int kBaseRowsPerCall = 16;
+/// Voxel rows that a call of accumulate() may need of a slice.
+constexpr int kVoxelRowsPerCall = 16;
+/// Rows of the base plane that a call of accumulate() may take.
+constexpr int kBaseRowsPerCall = 60;
 /// The base plane's columns are a multiple of this.
 constexpr int kBaseColumnGranule = 16;
-/// Rows of voxels are at least this long.
-constexpr int kMinRowLength = 16;
+/// Zeros before and behind each row of voxels, one row's being the next one's.
+constexpr int kMargin = 16;
 /// A step on the base plane must advance by less than this in every slice [voxel]: then what a vector of neighbours
 /// needs lies in one vector of voxels.
 constexpr double kMaxStep = 0.85;
@@ -44,11 +46,11 @@ struct SliceView
 /// The volume, its slices across the main axis.
 struct SliceStack
 {
-  const std::int16_t* voxels;  ///< of the first slice
+  const std::int16_t* voxels;  ///< of the first slice; kMargin before and behind each row are zeros
   std::ptrdiff_t slice_stride;
   std::ptrdiff_t row_stride;
-  int columns;  ///< neighbours in memory
-  int rows;
+  int columns;               ///< neighbours in memory
+  int rows;                  ///< kVoxelRowsPerCall may be read of fewer, and are zeros
   const RowExtent* extents;  ///< of the first slice, extents_per_slice for each
   int extents_per_slice;
   const SliceView* views;
@@ -103,8 +105,9 @@ struct WarpDerivatives
 
 struct Kernels
 {
-  /// Sums all slices into kBaseRowsPerCall rows of the base plane.
-  void (*accumulate)(const SliceStack& stack, const BasePlane& base, int first_row);
+  /// Sums all slices into rows of the base plane, kBaseRowsPerCall at most, that kVoxelRowsPerCall rows of each slice
+  /// suffice for.
+  void (*accumulate)(const SliceStack& stack, const BasePlane& base, int first_row, int row_count);
   /// Filters a row of `from`, which must be readable at all offsets from it, into `to`.
   void (*filter)(const BasePlane& from, const FilterTap* taps, int tap_count, const BasePlane& to, int row);
   void (*warp)(const BasePlane& base, const WarpLimits& limits, const WarpRow& row);

@@ -142,7 +142,7 @@ private:
       return;
     }
     const auto round_up = [](int value, int granule) { return (value + granule - 1) / granule * granule; };
-    const int base_rows = round_up(view.points.y(), kBaseRowsPerCall);
+    const int base_rows = view.points.y();
     BasePlane base;
     base.columns = round_up(view.points.x(), kBaseColumnGranule);
     const std::size_t base_size = static_cast<std::size_t>(base.columns) * base_rows;
@@ -177,8 +177,16 @@ private:
       workspace.views[n] = { at_zero.x(), step.x(), at_zero.y(), step.y(), static_cast<float>(1.0 - 1.0 / scale) };
     }
     stack.views = workspace.views.data();
-    tbb::parallel_for(0, base_rows / kBaseRowsPerCall,
-                      [&](int block) { kernels_.accumulate(stack, base, block * kBaseRowsPerCall); });
+    // Between the first and the last row that interpolation needs lie as many steps as fit between the others.
+    const int rows_per_call =
+        std::min(kBaseRowsPerCall, static_cast<int>((kVoxelRowsPerCall - 2) / view.pitch.y()) + 1);
+    const int calls = (base_rows + rows_per_call - 1) / rows_per_call;
+    tbb::parallel_for(0, calls,
+                      [&](int call)
+                      {
+                        const int first = base_rows * call / calls;
+                        kernels_.accumulate(stack, base, first, base_rows * (call + 1) / calls - first);
+                      });
   }
 
   void filterBase(const BundleView& view, const BasePlane& from, const BasePlane& to, Workspace& workspace) const
@@ -286,7 +294,7 @@ private:
 SimdLevel bestSimdLevel()
 {
 #ifdef __x86_64__
-  if (__builtin_cpu_supports("avx512f"))
+  if (__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512bw"))
   {
     return SimdLevel::AVX512;
   }

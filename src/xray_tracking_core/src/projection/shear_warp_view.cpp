@@ -10,9 +10,13 @@ namespace shear_warp
 {
 namespace
 {
-/// Distance of the base plane's points in the farthest slice, where it is largest [voxel]: between these, the distance
-/// of the points that are wanted.
+/// Distance of the base plane's points in the farthest slice, where it is largest [voxel]: between the finest and the
+/// coarsest, the distance of the points that are wanted. Rays along the slices' axis see the kinks of linear
+/// interpolation, at the voxels, in line from slice to slice, and need a finer one than rays that blur them.
 constexpr double kFinestPitch = 0.45;
+constexpr double kFinestPitchInLine = 0.125;
+/// From this slope on they are blurred [voxel / slice].
+constexpr double kBlurringSlope = 0.25;
 constexpr double kCoarsestPitch = 0.8;
 static_assert(kCoarsestPitch < kMaxStep, "as accumulate() demands");
 
@@ -80,8 +84,10 @@ BundleView::BundleView(const RayBundle& rays, const Eigen::Affine3d& all_index_f
 
   const Eigen::Array2d by_u = onBase(central_ray + rays.by_u) - onBase(central_ray);
   const Eigen::Array2d by_v = onBase(central_ray + rays.by_v) - onBase(central_ray);
-  pitch = (by_u.square() + by_v.square()).sqrt().max(kFinestPitch).min(kCoarsestPitch);
   const Eigen::Vector2d slope = central.head<2>() / central.z();
+  const Eigen::Array2d blur = (slope.array().abs() / kBlurringSlope).min(1.0);
+  const Eigen::Array2d finest = kFinestPitchInLine + blur * (kFinestPitch - kFinestPitchInLine);
+  pitch = (by_u.square() + by_v.square()).sqrt().max(finest).min(kCoarsestPitch);
   filter = SlopeFilter((slope / scale((first_slice + last_slice) / 2)).cwiseQuotient(pitch));
   const Eigen::Vector2d margin = (filter.reach().array() + kCubicReach).cast<double>();
 

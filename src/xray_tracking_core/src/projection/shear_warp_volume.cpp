@@ -130,9 +130,9 @@ StackedVolume::Copy StackedVolume::makeCopy(const ScalarVolume& volume, int colu
                                             int plane_axis) const
 {
   Copy copy;
-  copy.row_stride = std::max(size_[column_axis], kMinRowLength);
-  copy.plane_stride = copy.row_stride * size_[row_axis] + kPlanePadding;
-  copy.voxels.assign(copy.plane_stride * size_[plane_axis], 0);
+  copy.row_stride = size_[column_axis] + kMargin;
+  copy.plane_stride = copy.row_stride * std::max(size_[row_axis], kVoxelRowsPerCall) + kPlanePadding;
+  copy.voxels.assign(kMargin + copy.plane_stride * std::max(size_[plane_axis], kVoxelRowsPerCall), 0);
   std::array<std::ptrdiff_t, 3> stride;
   stride[column_axis] = 1;
   stride[row_axis] = copy.row_stride;
@@ -151,7 +151,7 @@ StackedVolume::Copy StackedVolume::makeCopy(const ScalarVolume& volume, int colu
                           {
                             const float* from = volume.values.data() +
                                                 volume.grid.offset(corner_.x(), corner_.y() + j, corner_.z() + k);
-                            std::int16_t* to = copy.voxels.data() + j * stride[1] + k * stride[2];
+                            std::int16_t* to = copy.voxels.data() + kMargin + j * stride[1] + k * stride[2];
                             for (int i = tile; i < std::min(tile + kTile, size_.x()); ++i)
                             {
                               to[i * stride[0]] = static_cast<std::int16_t>(std::lrint(from[i] * inverse_scale));
@@ -201,10 +201,10 @@ SliceStack StackedVolume::stack(int main) const
   SliceStack stack = {};
   const Axes axes = StackedVolume::axes(main);
   const Copy& copy = main == 0 ? along_j_ : along_i_;
-  stack.voxels = copy.voxels.data();
+  stack.voxels = copy.voxels.data() + kMargin;
   stack.row_stride = axes.row == 1 || main == 0 ? copy.row_stride : copy.plane_stride;
   stack.slice_stride = main == 1 ? copy.row_stride : copy.plane_stride;
-  stack.columns = static_cast<int>(copy.row_stride);
+  stack.columns = size_[axes.column];
   stack.rows = size_[axes.row];
   stack.slices = size_[main];
   stack.extents = extents_[main].data();
