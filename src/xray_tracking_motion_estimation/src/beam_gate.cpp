@@ -13,9 +13,6 @@ namespace xray_tracking
 {
 namespace
 {
-/// A stamp may be ahead by what two computers' clocks usually differ.
-constexpr std::int64_t kMaxAhead = 5000000;  // ns
-
 /// The median of so many is right while fewer than half of the exposures are missing.
 constexpr std::size_t kIntervals = 31;
 
@@ -101,11 +98,6 @@ BeamGate::Verdict BeamGate::judge(const GateExposure& exposure) const
   {
     return { GateReason::NOT_MEASURED, "the pose is not finite" };
   }
-  if (exposure.delay < -kMaxAhead)
-  {
-    return { GateReason::BAD_STAMP, compose("the exposure is stamped ", seconds(-exposure.delay),
-                                            " s in the future, expected none: clocks differ") };
-  }
   if (exposure.delay > maxAge())
   {
     return { GateReason::STALE, compose("the exposure was ", seconds(exposure.delay),
@@ -158,6 +150,12 @@ BeamGate::Verdict BeamGate::judgePlace(const Eigen::Vector3d& displacement, doub
 
 bool BeamGate::update(const GateExposure& exposure)
 {
+  if (exposure.fault == GateReason::BAD_STAMP)
+  {
+    // Nothing of it is kept: what follows has right stamps and would seem to be older.
+    good_ = 0;
+    return change({ GateReason::BAD_STAMP, exposure.text.empty() ? "the exposure's stamp is wrong" : exposure.text });
+  }
   if (last_stamp_ && exposure.stamp <= *last_stamp_)
   {
     good_ = 0;

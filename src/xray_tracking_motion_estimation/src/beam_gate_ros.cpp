@@ -46,7 +46,10 @@ BeamGateRos::BeamGateRos(ros::NodeHandle nh, const BeamGateOptions& options) : g
 
 void BeamGateRos::update(const GateExposure& exposure)
 {
-  exposure_ = timeFromNanoseconds(exposure.stamp);
+  if (exposure.fault != GateReason::BAD_STAMP)
+  {
+    exposure_ = timeFromNanoseconds(exposure.stamp);
+  }
   logAndPublish(gate_.update(exposure));
 }
 

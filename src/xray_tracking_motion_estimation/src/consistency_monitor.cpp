@@ -14,6 +14,7 @@ namespace xray_tracking
 {
 void ConsistencyOptions::validate() const
 {
+  requireOption(floor_sigma > 0.0 && std::isfinite(floor_sigma), "floor_sigma", floor_sigma, "a number > 0 px");
   requireOption(window >= 1, "window", window, "1 or more exposures");
   requireOption(significance > 0.0 && significance < 1.0, "significance", significance, "a probability in (0, 1)");
   requireOption(persistent_sigma >= 0.0 && std::isfinite(persistent_sigma), "persistent_sigma", persistent_sigma,
@@ -51,6 +52,8 @@ ConsistencyReport ConsistencyMonitor::add(const MotionEstimate& estimate)
   // again, because the mean has other weights than the single exposures.
   Residuals mean = latest;
   const double share = 1.0 / static_cast<double>(window_.size());
+  const double unknown_variance =
+      options_.persistent_sigma * options_.persistent_sigma + share * options_.floor_sigma * options_.floor_sigma;
   Eigen::Matrix3d information = Eigen::Matrix3d::Zero();
   Eigen::Vector3d gradient = Eigen::Vector3d::Zero();
   double sum_of_squares = 0.0;
@@ -58,7 +61,7 @@ ConsistencyReport ConsistencyMonitor::add(const MotionEstimate& estimate)
   for (std::size_t i = 0; i < mean.size(); ++i)
   {
     mean[i].residual.setZero();
-    mean[i].covariance = options_.persistent_sigma * options_.persistent_sigma * Eigen::Matrix2d::Identity();
+    mean[i].covariance = unknown_variance * Eigen::Matrix2d::Identity();
     for (const Residuals& residuals : window_)
     {
       mean[i].residual += share * residuals[i].residual;
@@ -79,17 +82,18 @@ ConsistencyReport ConsistencyMonitor::add(const MotionEstimate& estimate)
   report.chi_square =
       std::max(0.0, sum_of_squares - gradient.dot(Eigen::LLT<Eigen::Matrix3d>(information).solve(gradient)));
   report.disagreement = std::sqrt(squared_pixels / static_cast<double>(mean.size()));
-  const double limit = limits_[report.degrees_of_freedom];
+  report.limit = limits_[report.degrees_of_freedom];
   // Written so that NaN fails.
-  report.consistent = report.chi_square <= limit;
-  if (!report.consistent)
-  {
-    std::ostringstream message;
-    message << "the views disagree by " << report.disagreement << " px on the mean of " << report.exposures
-            << " exposures: chi-square is " << report.chi_square << " with " << report.degrees_of_freedom
-            << " degrees of freedom, expected at most " << limit;
-    report.reason = message.str();
-  }
+  report.consistent = report.chi_square <= report.limit;
   return report;
+}
+
+std::string describe(const ConsistencyReport& report)
+{
+  std::ostringstream message;
+  message << "the views disagree by " << report.disagreement << " px on the mean of " << report.exposures
+          << " exposures: chi-square is " << report.chi_square << " with " << report.degrees_of_freedom
+          << " degrees of freedom, expected at most " << report.limit;
+  return message.str();
 }
 }  // namespace xray_tracking

@@ -264,7 +264,9 @@ void MotionEstimationRos::judgeConsistency(const MotionEstimate& estimate, Patie
   if (motion.state == PatientMotion::OK && !report.consistent)
   {
     motion.state = PatientMotion::INCONSISTENT;
-    motion.reason = report.reason;
+    motion.reason = describe(report);
   }
+  motion.views_differ = !rigid_consistency_->add(estimate).consistent;
+  differing_ += motion.views_differ ? 1 : 0;
 }
 }  // namespace xray_tracking

@@ -9,7 +9,7 @@ namespace
 {
 const char* stateName(std::uint8_t state)
 {
-  static const char* const kNames[] = { "OK", "WAITING", "LOST", "INCONSISTENT", "NO_REFERENCE" };
+  static const char* const kNames[] = { "OK", "WAITING", "LOST", "INCONSISTENT", "NO_REFERENCE", "BAD_STAMP" };
   return kNames[state];
 }
 }  // namespace
@@ -106,6 +106,12 @@ void MotionEstimationRos::diagnose(diagnostic_updater::DiagnosticStatusWrapper& 
     status.summary(waiting ? DiagnosticStatus::WARN : DiagnosticStatus::ERROR,
                    std::string(stateName(last_motion_->state)) + ": " + last_motion_->reason);
   }
+  if (last_motion_ && last_motion_->state == PatientMotion::OK && last_motion_->views_differ)
+  {
+    status.mergeSummary(DiagnosticStatus::WARN,
+                        "the views differ by more than those of a rigid target: surroundings "
+                        "that move otherwise, rotation or a fault");
+  }
   for (const View& view : views_)
   {
     if (view.silent)
@@ -129,10 +135,12 @@ void MotionEstimationRos::diagnose(diagnostic_updater::DiagnosticStatusWrapper& 
   exposures_at_last_diagnosis_ = exposures_;
   status.add("exposures", exposures_);
   status.add("poses", poses_);
+  status.add("exposures whose views differed", differing_);
   status.add("exposures waiting for a view", assembler_->pending());
   status.add("exposures dropped, a view missing", assembler_->incomplete());
   status.add("duplicates dropped", assembler_->duplicates());
   status.add("late messages dropped", assembler_->late());
+  status.add("exposures refused, stamped in the future", assembler_->future());
   status.add("observability", observability_);
   status.add("beam gate", std::string(gateReasonName(gate_->gate().reason())) + ": " + gate_->gate().text());
   status.add("refinements asked for", refinement_->requests());

@@ -1,5 +1,6 @@
 #include "xray_tracking_motion_estimation/motion_estimation_parameters.h"
 
+#include <cmath>
 #include <set>
 #include <stdexcept>
 
@@ -10,6 +11,9 @@ namespace xray_tracking
 {
 namespace
 {
+/// Measured on patients: TRE below 1.2 mm in 32 %, below 2.4 mm in 82 % of the frames [mm].
+constexpr double kTissueSigma = 1.0;
+
 /// Reads the parameters of one namespace; what is wrong with a value is told with the namespace.
 class Group
 {
@@ -59,6 +63,8 @@ MotionEstimationParameters readMotionEstimationParameters(const ros::NodeHandle&
   own.read("floor_sigma", estimation.floor_sigma);
   own.read("linear_floor_sigma", estimation.linear_floor_sigma);
   own.read("rotation_sigma", estimation.rotation_sigma);
+  estimation.tissue_sigma = kTissueSigma;
+  own.read("tissue_sigma", estimation.tissue_sigma);
   own.read("min_view_angle", estimation.min_view_angle);
   own.read("queue_size", parameters.queue_size);
   own.read("view_timeout", parameters.view_timeout);
@@ -69,6 +75,8 @@ MotionEstimationParameters readMotionEstimationParameters(const ros::NodeHandle&
   consistency.read("window", parameters.consistency.window);
   consistency.read("significance", parameters.consistency.significance);
   consistency.read("persistent_sigma", parameters.consistency.persistent_sigma);
+  double rigid_sigma = 0.1;
+  consistency.read("rigid_sigma", rigid_sigma);
 
   Group prediction(reader, "prediction/");
   prediction.read("latency", parameters.prediction.latency);
@@ -97,7 +105,6 @@ MotionEstimationParameters readMotionEstimationParameters(const ros::NodeHandle&
   refinement.read("max_correction_rotation", parameters.refinement.max_correction_rotation);
   refinement.read("min_similarity", parameters.refinement.min_similarity);
   refinement.read("significance", parameters.refinement.significance);
-  refinement.read("tissue_sigma", parameters.refinement.tissue_sigma);
   reader.warnOfUnread();
 
   estimation.method = estimationMethodFromName(method);
@@ -106,7 +113,14 @@ MotionEstimationParameters readMotionEstimationParameters(const ros::NodeHandle&
                 "isotropic or bone");
   parameters.bone_shape = target_shape == "bone";
   own.validate(estimation);
+  requireOption(rigid_sigma > 0.0 && std::isfinite(rigid_sigma), "consistency/rigid_sigma", rigid_sigma,
+                "a number > 0 px");
+  parameters.consistency.floor_sigma = estimation.floor_sigma;
   consistency.validate(parameters.consistency);
+  parameters.rigid_consistency = parameters.consistency;
+  parameters.rigid_consistency.floor_sigma = rigid_sigma;
+  parameters.rigid_consistency.persistent_sigma = 0.0;
+  parameters.prediction.tissue_sigma = estimation.tissue_sigma;
   prediction.validate(parameters.prediction);
   gate.validate(parameters.gate);
   refinement.validate(parameters.refinement);

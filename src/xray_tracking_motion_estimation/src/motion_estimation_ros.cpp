@@ -1,6 +1,7 @@
 #include "xray_tracking_motion_estimation/motion_estimation_ros.h"
 
 #include <algorithm>
+#include <sstream>
 #include <stdexcept>
 
 #include <geometry_msgs/PoseWithCovarianceStamped.h>
@@ -19,6 +20,9 @@ using xray_tracking_msgs::TrackedRegion;
 
 /// Templates refer to exposures of the last seconds; the reference in use is kept apart.
 constexpr std::size_t kHistoryCapacity = 1000;
+
+/// A stamp may be ahead by what two computers' clocks usually differ [ns].
+constexpr std::int64_t kMaxAhead = 5000000;
 
 /// Messages of a played bag are ahead of the last tick of its clock by up to a tick: 10 ms, times the playback's speed
 /// [ns].
@@ -88,13 +92,15 @@ void MotionEstimationRos::start()
                       [setup = setup_, bone = parameters_.bone_shape]
                       { return bone ? boneShape(setup) : TargetShape::isotropic(setup.targetCentre()); });
   consistency_.emplace(parameters_.consistency);
+  rigid_consistency_.emplace(parameters_.rigid_consistency);
   predictor_.emplace(parameters_.prediction, setup_.targetCentre());
   motion_publisher_ = nh_.advertise<PatientMotion>("patient_motion", 100);
   pose_publisher_ = nh_.advertise<geometry_msgs::PoseWithCovarianceStamped>("patient_pose", 100);
   prediction_publisher_ = nh_.advertise<geometry_msgs::PoseWithCovarianceStamped>("predicted_pose", 100);
   startRefinement();
   const std::vector<std::string>& detectors = parameters_.detectors;
-  assembler_.emplace(detectors.size(), parameters_.queue_size, nanosecondsFromSeconds(parameters_.pairing_tolerance));
+  assembler_.emplace(detectors.size(), parameters_.queue_size, nanosecondsFromSeconds(parameters_.pairing_tolerance),
+                     ros::Time::isSimTime() ? kClockTick : kMaxAhead);
   measurements_.resize(detectors.size());
   views_.resize(detectors.size());
   const ros::TransportHints no_delay = ros::TransportHints().tcpNoDelay();
@@ -122,8 +128,11 @@ void MotionEstimationRos::trackedRegionCb(const TrackedRegion::ConstPtr& message
     first_arrival_ = views_[view].last_arrival;
   }
   setSilent(view, false);
-  const auto outcome = assembler_->add(view, nanosecondsFromTime(message->header.stamp), message);
-  if (outcome != ExposureAssembler<TrackedRegion::ConstPtr>::Outcome::COMPLETE)
+  using Outcome = ExposureAssembler<TrackedRegion::ConstPtr>::Outcome;
+  const ros::Time now = ros::Time::now();
+  const Outcome outcome =
+      assembler_->add(view, nanosecondsFromTime(message->header.stamp), message, nanosecondsFromTime(now));
+  if (outcome != Outcome::COMPLETE && outcome != Outcome::FUTURE)
   {
     return;
   }
@@ -139,7 +148,18 @@ void MotionEstimationRos::trackedRegionCb(const TrackedRegion::ConstPtr& message
   PatientMotion motion;
   motion.header.stamp = stamp;
   motion.header.frame_id = kRoomFrame;
-  const std::optional<MotionEstimate> result = estimate(motion);
+  std::optional<MotionEstimate> result;
+  if (outcome == Outcome::FUTURE)
+  {
+    motion.state = PatientMotion::BAD_STAMP;
+    std::ostringstream reason;
+    reason << "the exposure is stamped " << (stamp - now).toSec() << " s in the future: clocks differ";
+    motion.reason = reason.str();
+  }
+  else
+  {
+    result = estimate(motion);
+  }
   if (motion.state == PatientMotion::OK)
   {
     const std::int64_t nanoseconds = assembler_->stamp();
@@ -172,7 +192,10 @@ void MotionEstimationRos::trackedRegionCb(const TrackedRegion::ConstPtr& message
   motion.cpu_time = durationFromSeconds(cpu_seconds + stopwatch.cpuSeconds());
   motion.wall_time = durationFromSeconds(wall_seconds + stopwatch.wallSeconds());
   motion_publisher_.publish(motion);
-  considerRefinement(motion, result);
+  if (outcome == Outcome::COMPLETE)
+  {
+    considerRefinement(motion, result);
+  }
   report(motion);
 }
 
@@ -227,14 +250,18 @@ void MotionEstimationRos::tellGate(const PatientMotion& motion, const std::optio
   exposure.stamp = nanosecondsFromTime(motion.header.stamp);
   exposure.arrival = steadyNanoseconds();
   exposure.delay = nanosecondsFromTime(ros::Time::now()) - exposure.stamp;
-  if (ros::Time::isSimTime() && exposure.delay < 0 && exposure.delay > -kClockTick)
+  if (ros::Time::isSimTime())
   {
-    exposure.delay = 0;
+    exposure.delay = std::max<std::int64_t>(exposure.delay, 0);
   }
   exposure.text = motion.reason;
   if (motion.state == PatientMotion::INCONSISTENT)
   {
     exposure.fault = GateReason::INCONSISTENT;
+  }
+  else if (motion.state == PatientMotion::BAD_STAMP)
+  {
+    exposure.fault = GateReason::BAD_STAMP;
   }
   else if (motion.state == PatientMotion::OK)
   {
@@ -268,11 +295,12 @@ void MotionEstimationRos::forget()
   tracked_views_.clear();
   estimator_.reset();
   consistency_->reset();
+  rigid_consistency_->reset();
   last_pose_.reset();
   predictor_->reset();
   refinement_->reset();
-  // A bag that is played again begins with the patient where it began. A clock that was set, or an old exposure that is
-  // sent once more, finds the patient anywhere, and the trackers learn their templates there.
+  // A bag that is played again begins with the patient where it began. A clock that was set, or old exposures that are
+  // sent once more, find the patient anywhere, and the trackers learn their templates there.
   if (!ros::Time::isSimTime())
   {
     start_doubt_ = "time went back: that the patient was at the initial pose again is not confirmed by a refinement";

@@ -58,6 +58,7 @@ void MotionEstimationOptions::validate() const
   requirePositive("floor_sigma", floor_sigma, " px");
   requirePositive("linear_floor_sigma", linear_floor_sigma, "");
   requirePositive("rotation_sigma", rotation_sigma, " rad");
+  requireOption(tissue_sigma >= 0.0 && std::isfinite(tissue_sigma), "tissue_sigma", tissue_sigma, "a number >= 0 mm");
   requireOption(min_view_angle > 0.0 && min_view_angle < M_PI / 2, "min_view_angle", min_view_angle,
                 "an angle in (0, pi / 2) rad");
 }
@@ -330,7 +331,8 @@ void MotionEstimator::backProject(const std::vector<std::optional<ViewMeasuremen
       rotation_information += normal * normal.transpose() / variance;
     }
   }
-  // A direction that no panel sees would have s = 0; parallax rules it out.
+  // A room axis perpendicular to all panels has s = 0, though rays that meet parallel panels obliquely do differ. What
+  // comes of it is not finite and therefore refused.
   const Eigen::Vector3d normalisation = diagonal.cwiseInverse();  // N, eq. (6)
   motion.target += normalisation.cwiseProduct(sum);               // eq. (7)
   covariance.topLeftCorner<3, 3>() = normalisation.asDiagonal() * sum_covariance * normalisation.asDiagonal();
@@ -354,6 +356,7 @@ bool MotionEstimator::judgeConsistency(const Observations& observations, const M
     residual.view = observation.view;
     residual.residual = observation.parameters.head<2>() - whitened.warp.head<2>();
     residual.covariance = observation.warp_covariance.topLeftCorner<2, 2>();
+    residual.covariance.diagonal().array() -= options_.floor_sigma * options_.floor_sigma;
     residual.jacobian = whitened.warp_jacobian.topLeftCorner<2, 3>();
     estimate.residuals.push_back(residual);
     squared_pixels += residual.residual.squaredNorm();
@@ -385,6 +388,7 @@ void MotionEstimator::fillPose(const Motion& motion, MotionEstimate& estimate) c
   estimate.room_from_patient.translation() = motion.target - rotation * target_centre_;
 
   estimate.covariance += reference_covariance_;
+  estimate.covariance.diagonal().head<3>().array() += options_.tissue_sigma * options_.tissue_sigma;
   const Matrix6d origin_from_target = pointFromOriginJacobian(-(rotation * target_centre_));
   estimate.pose_covariance = origin_from_target * estimate.covariance * origin_from_target.transpose();
 }

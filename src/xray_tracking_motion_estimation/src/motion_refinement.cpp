@@ -115,6 +115,7 @@ void MotionEstimationRos::accept(const Refinement& refinement)
   reference_covariance_ = covariance;
   start_doubt_.clear();
   consistency_->reset();
+  rigid_consistency_->reset();
 
   Eigen::Vector3d correction = Eigen::Vector3d::Zero();
   if (refinement.tracked)

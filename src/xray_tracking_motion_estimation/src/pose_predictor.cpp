@@ -36,6 +36,7 @@ void PosePredictorOptions::validate() const
     }
   };
   require(latency > 0.0 && latency <= 1.0, "latency", latency, "a number in (0, 1] s");
+  require(tissue_sigma >= 0.0 && std::isfinite(tissue_sigma), "tissue_sigma", tissue_sigma, "a number >= 0 mm");
   require(max_gap > latency && std::isfinite(max_gap), "max_gap", max_gap, "a number > latency, in s");
 }
 
@@ -84,13 +85,15 @@ bool PosePredictor::add(std::int64_t stamp, const RigidTransform& room_from_pati
   for (int i = 0; i < 6; ++i)
   {
     const double variance = target_covariance(i, i);
+    const double lasting = i < 3 ? options_.tissue_sigma * options_.tissue_sigma : 0.0;
+    const double most_noise = variance > lasting ? variance - lasting : variance;
     if (start)
     {
-      axes_[i].reset(values[i], variance);
+      axes_[i].reset(values[i], most_noise);
     }
     else
     {
-      axes_[i].add(elapsed, values[i], variance);
+      axes_[i].add(elapsed, values[i], most_noise);
     }
     lasting_share[i] = std::sqrt(1.0 - axes_[i].noiseVariance() / variance);
   }

@@ -67,7 +67,6 @@ void RefinementPolicyOptions::validate() const
   positive("max_correction_rotation", max_correction_rotation, "a number > 0 rad");
   require(std::isfinite(min_similarity), "min_similarity", min_similarity, "a number");
   require(significance > 0.0 && significance < 1.0, "significance", significance, "a number in (0, 1)");
-  require(tissue_sigma >= 0.0 && std::isfinite(tissue_sigma), "tissue_sigma", tissue_sigma, "a number >= 0 mm");
 }
 
 RigidTransform Refinement::carry(const RigidTransform& tracked_then, const Eigen::Vector3d& target_centre) const
@@ -233,9 +232,8 @@ std::string RefinementPolicy::fault(const RefinementReply& reply, const TrackedE
                    " rad, expected at most ", options_.max_correction, " mm and ", options_.max_correction_rotation,
                    " rad");
   }
-  PoseCovariance covariance = covarianceAt(target_centre_, exposure.room_from_patient, exposure.covariance) +
-                              covarianceAt(target_centre_, reply.room_from_patient, reply.covariance);
-  covariance.diagonal().head<3>().array() += options_.tissue_sigma * options_.tissue_sigma;
+  const PoseCovariance covariance = covarianceAt(target_centre_, exposure.room_from_patient, exposure.covariance) +
+                                    covarianceAt(target_centre_, reply.room_from_patient, reply.covariance);
   Eigen::Matrix<double, 6, 1> difference;
   difference << correction.tail<3>(), correction.head<3>();
   const Eigen::LLT<PoseCovariance> cholesky(covariance);

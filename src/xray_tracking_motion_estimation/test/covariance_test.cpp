@@ -64,5 +64,38 @@ TEST(Covariance, NormalisedErrorIsWithinItsBounds)
     }
   }
 }
+
+// Tissue that moves otherwise by 1 mm, which all views take for the target's motion.
+TEST(Covariance, HasTheTissueThatNoTrackTellsOf)
+{
+  constexpr int kTrials = 1000;
+  const Scene scene{ cyberknife(), { 12.0, -9.0, 15.0 } };
+  MotionEstimationOptions options;
+  options.floor_sigma = 0.2;
+  const auto squaredError = [&](double tissue_sigma)
+  {
+    options.tissue_sigma = tissue_sigma;
+    const MotionEstimator estimator = scene.estimator(options);
+    Random random(3);
+    double sum = 0.0;
+    for (int trial = 0; trial < kTrials; ++trial)
+    {
+      const Eigen::Vector3d translation = random.inCube(8.0);
+      const Eigen::Vector3d tissue = random.normals(3);
+      auto tracks = scene.exactTracks(Eigen::Vector3d(translation + tissue));
+      for (auto& measurement : tracks)
+      {
+        random.disturb(measurement->track, options);
+      }
+      const MotionEstimate estimate = estimator.estimate(tracks);
+      const Eigen::Vector3d error = translation - estimate.translation;
+      const Eigen::Matrix3d covariance = estimate.covariance.topLeftCorner<3, 3>();
+      sum += error.dot(covariance.llt().solve(error));
+    }
+    return sum;
+  };
+  expectChiSquare(squaredError(1.0), 3.0 * kTrials, "tissue of 1 mm");
+  EXPECT_GT(squaredError(0.0), 30.0 * 3.0 * kTrials);
+}
 }  // namespace
 }  // namespace xray_tracking

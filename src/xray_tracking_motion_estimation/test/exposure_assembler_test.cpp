@@ -8,9 +8,27 @@ namespace xray_tracking
 {
 namespace
 {
-using Assembler = ExposureAssembler<std::string>;
-using Outcome = Assembler::Outcome;
+using Outcome = ExposureAssembler<std::string>::Outcome;
 constexpr std::int64_t kSecond = 1000000000;
+
+/// With a clock that shows what a test sets, or a time after all stamps.
+class Assembler : public ExposureAssembler<std::string>
+{
+public:
+  using ExposureAssembler<std::string>::ExposureAssembler;
+  Outcome add(std::size_t view, std::int64_t stamp, const std::string& item)
+  {
+    return ExposureAssembler<std::string>::add(view, stamp, item, now);
+  }
+  /// An exposure of two views.
+  Outcome expose(std::int64_t stamp)
+  {
+    add(0, stamp, "");
+    return add(1, stamp, "");
+  }
+
+  std::int64_t now = 1000 * kSecond;
+};
 
 TEST(ExposureAssembler, CompletesInAnyOrderOfViews)
 {
@@ -68,13 +86,14 @@ TEST(ExposureAssembler, IsBounded)
   EXPECT_EQ(assembler.incomplete(), 8u);
 }
 
-TEST(ExposureAssembler, StartsAgainAfterABackwardJump)
+TEST(ExposureAssembler, StartsAgainWhenTheClockGoesBack)
 {
   Assembler assembler(2, 10);
-  assembler.add(0, 10 * kSecond, "");
-  assembler.add(1, 10 * kSecond, "");
+  assembler.now = 11 * kSecond;
+  assembler.expose(10 * kSecond);
   assembler.add(0, 11 * kSecond, "before the jump");
   // A second is still a late message, more is the start of another run, but only once all views have it.
+  assembler.now = 4 * kSecond;
   EXPECT_EQ(assembler.add(0, 9 * kSecond, ""), Outcome::LATE);
   EXPECT_EQ(assembler.add(0, 2 * kSecond, ""), Outcome::PENDING);
   EXPECT_EQ(assembler.add(0, 3 * kSecond, "after the jump"), Outcome::PENDING);
@@ -83,7 +102,87 @@ TEST(ExposureAssembler, StartsAgainAfterABackwardJump)
   EXPECT_EQ(assembler.add(1, 3 * kSecond, ""), Outcome::COMPLETE);
   EXPECT_FALSE(assembler.restarted());
   EXPECT_EQ(assembler.exposure()[0], "after the jump");
+  assembler.now = 11 * kSecond;
   EXPECT_EQ(assembler.add(1, 11 * kSecond, ""), Outcome::PENDING);
+}
+
+// The clock goes on; exposures that were answered come once more, or for the first time, more than a second late.
+TEST(ExposureAssembler, OldExposuresAreLateWhileNewOnesCome)
+{
+  Assembler assembler(2, 10);
+  std::int64_t last = 0;
+  std::size_t old_ones = 0;
+  for (std::int64_t tenth = 0; tenth < 300; ++tenth)
+  {
+    assembler.now = 100 * kSecond + tenth * kSecond / 10;
+    last = assembler.now;
+    ASSERT_EQ(assembler.expose(last), Outcome::COMPLETE);
+    ASSERT_FALSE(assembler.restarted());
+    // One, and after a while bursts of them.
+    for (std::int64_t i = 0; i < (tenth < 100 ? 1 : 20); ++i)
+    {
+      ASSERT_EQ(assembler.expose(last - 60 * kSecond + i * kSecond / 10), Outcome::LATE);
+      ++old_ones;
+    }
+    ASSERT_EQ(assembler.stamp(), last);
+  }
+  EXPECT_EQ(assembler.late(), 2 * old_ones);
+  EXPECT_EQ(assembler.incomplete(), 0u);
+  EXPECT_EQ(assembler.pending(), 0u);
+}
+
+// Recorded exposures without their clock, played again.
+TEST(ExposureAssembler, StartsAgainAfterASecondOfOldExposuresAlone)
+{
+  Assembler assembler(2, 10);
+  assembler.expose(100 * kSecond);
+  const std::int64_t start = assembler.now;
+  int answered = 0;
+  for (int tenth = 0; tenth < 20; ++tenth)
+  {
+    assembler.now = start + tenth * kSecond / 10;
+    const Outcome outcome = assembler.expose(kSecond + tenth * kSecond / 10);
+    EXPECT_EQ(outcome, tenth < 10 ? Outcome::LATE : Outcome::COMPLETE) << tenth;
+    answered += outcome == Outcome::COMPLETE ? 1 : 0;
+    EXPECT_EQ(assembler.restarted(), answered == 1) << tenth;
+  }
+}
+
+TEST(ExposureAssembler, OldExposuresInDisorderAreNoRestart)
+{
+  Assembler assembler(2, 10);
+  assembler.expose(100 * kSecond);
+  for (int i = 0; i < 50; ++i)
+  {
+    assembler.now += kSecond / 10;
+    EXPECT_EQ(assembler.expose((60 - i) * kSecond), Outcome::LATE);
+  }
+}
+
+TEST(ExposureAssembler, RefusesExposuresOfTheFutureAndCountsNothingFromThem)
+{
+  Assembler assembler(2, 10, 0, 5);
+  assembler.now = 100 * kSecond;
+  EXPECT_EQ(assembler.expose(assembler.now + 5), Outcome::COMPLETE);
+  assembler.now += kSecond;
+  for (const std::int64_t ahead : { std::int64_t{ 6 }, kSecond, 1000000 * kSecond })
+  {
+    assembler.add(0, assembler.now + ahead, "future");
+    EXPECT_EQ(assembler.add(1, assembler.now + ahead, ""), Outcome::FUTURE);
+    EXPECT_EQ(assembler.stamp(), assembler.now + ahead);
+    EXPECT_EQ(assembler.exposure()[0], "future");
+    EXPECT_FALSE(assembler.restarted());
+  }
+  EXPECT_EQ(assembler.future(), 3u);
+  // What is stamped right is neither late nor a restart, also if it waited for its other view meanwhile.
+  assembler.add(0, assembler.now - 10, "");
+  assembler.expose(assembler.now + kSecond);
+  EXPECT_EQ(assembler.add(1, assembler.now - 10, ""), Outcome::COMPLETE);
+  EXPECT_FALSE(assembler.restarted());
+  EXPECT_EQ(assembler.stamp(), assembler.now - 10);
+  EXPECT_EQ(assembler.expose(assembler.now), Outcome::COMPLETE);
+  EXPECT_FALSE(assembler.restarted());
+  EXPECT_EQ(assembler.late() + assembler.incomplete() + assembler.duplicates(), 0u);
 }
 
 // A view falls silent, the queue fills with what the other one sends, and the recording starts again.
@@ -102,6 +201,7 @@ TEST(ExposureAssembler, StartsAgainWithAFullQueue)
       assembler.add(0, 10 * kSecond + i, "before the jump");
     }
     EXPECT_EQ(assembler.incomplete(), 7u);
+    assembler.now = kSecond;
     EXPECT_EQ(assembler.add(0, kSecond, "a"), Outcome::PENDING);
     EXPECT_EQ(assembler.add(1, kSecond, "b"), Outcome::COMPLETE);
     EXPECT_EQ(assembler.exposure(), (std::vector<std::string>{ "a", "b" }));
@@ -131,6 +231,7 @@ TEST(ExposureAssembler, StartsAgainOneViewAfterTheOther)
   assembler.add(0, kSecond, "");
   EXPECT_EQ(assembler.add(1, 101 * kSecond, ""), Outcome::COMPLETE);
   EXPECT_FALSE(assembler.restarted());
+  assembler.now = kSecond;
   EXPECT_EQ(assembler.add(1, kSecond, ""), Outcome::COMPLETE);
   EXPECT_TRUE(assembler.restarted());
   EXPECT_EQ(assembler.incomplete(), 0u);

@@ -20,9 +20,10 @@ class MotionEstimationTest(EstimationTestCase):
     runs = 0
 
     def setUp(self):
-        # Every test is a run that begins earlier than the one before: a backward jump of time.
+        # Every test is a run that begins earlier than the one before: recorded exposures without their clock.
         MotionEstimationTest.runs += 1
         self.start = (800000 - 1000 * MotionEstimationTest.runs) * NANOSECONDS
+        self.begin_anew()
 
     def expect_pose(self, index, motion=None):
         """One answer, one pose, one transform: that of the exposure's true motion."""
@@ -46,9 +47,9 @@ class MotionEstimationTest(EstimationTestCase):
         covariance = np.reshape(pose.pose.covariance, (6, 6))
         np.testing.assert_allclose(covariance, covariance.T)
         self.assertGreater(np.linalg.eigvalsh(covariance)[0], 0.0)
-        # A track of half a pixel is worth about 0.15 mm at the target.
-        sigma = np.sqrt(np.diag(np.reshape(answer.covariance, (3, 3))))
-        self.assertTrue(np.all((sigma > 0.5e-4) & (sigma < 1e-3)), sigma)
+        # A track of half a pixel is worth about 0.15 mm at the target; tissue may make 1 mm.
+        variance = np.diag(np.reshape(answer.covariance, (3, 3))) - 1e-6
+        self.assertTrue(np.all((variance > 0.5e-4 ** 2) & (variance < 1e-6)), variance)
         self.assertLess(answer.disagreement, 1e-3)
         self.assertEqual((answer.views, answer.degrees_of_freedom), (2, 1))
         self.assertGreater(answer.cpu_time.to_sec(), 0.002)
@@ -112,6 +113,22 @@ class MotionEstimationTest(EstimationTestCase):
         self.assertGreater(answer.chi_square, 10.8)
         self.expose(self.regions(2), 2)
         self.expect_no_pose(1, 2)
+
+    def test_views_that_differ_a_little(self):
+        """What tissue may do is let pass and told: 0.7 px between the views, in three exposures."""
+        for index in range(3):
+            self.assertFalse(self.expose(self.regions(index), index).views_differ)
+        for index in range(3, 6):
+            regions = self.regions(index)
+            regions[0].displacement_x += 0.7
+            answer = self.expose(regions, index)
+            self.assertEqual(answer.state, PatientMotion.OK, answer.reason)
+        self.assertTrue(answer.views_differ)
+        status = self.graph.diagnosis(lambda s: 'differ' in s.message, 'views that differ')
+        self.assertEqual(status.level, DiagnosticStatus.WARN)
+        for index in range(6, 9):
+            answer = self.expose(self.regions(index), index)
+        self.assertFalse(answer.views_differ)
 
     def test_rotation(self):
         """Euclidean tracks of a rotation about detector a's ray: what both views see of it, and what none sees."""
@@ -213,6 +230,46 @@ class MotionEstimationTest(EstimationTestCase):
             return lambda status: int(value(status, key)) - int(value(before, key))
         self.graph.diagnosis(lambda s: dropped('duplicates dropped')(s) == 2 and
                              dropped('late messages dropped')(s) == 4, 'drops')
+
+    def test_old_exposures_once_more(self):
+        """In all views and more than a second late: nothing starts over, and no stamp is on tf twice."""
+        for index in range(40):
+            self.expose(self.regions(index), index)
+        before = self.graph.diagnosis(lambda s: True, 'late messages')
+        for index in range(40, 60):
+            # Templates of the first run's reference tell whether the node has forgotten it.
+            self.expose(self.regions(index, reference=3), index)
+            for old in (2, 3, 4, index - 30):
+                self.publish(self.regions(old))
+            rospy.sleep(0.1)
+        for index in range(60):
+            self.expect_pose(index)
+        self.graph.diagnosis(lambda s: int(value(s, 'late messages dropped')) -
+                             int(value(before, 'late messages dropped')) == 160, 'late messages')
+
+    def test_exposures_of_the_future(self):
+        """Refused and counted, without a pose; what is stamped right goes on."""
+        key = 'exposures refused, stamped in the future'
+        before = self.graph.diagnosis(lambda s: True, key)
+        self.expose(self.regions(0), 0)
+        futures = [rospy.Time.now().to_nsec() + ahead * NANOSECONDS for ahead in (1, 3600)]
+        for index, stamp in enumerate(futures, 1):
+            regions = self.regions(index)
+            for region in regions:
+                region.header.stamp = rospy.Time(0, stamp)
+            self.publish(regions)
+            self.graph.wait_for(lambda s=stamp: s in self.graph.motions, 'answer')
+            answer = self.graph.motions[stamp][0]
+            self.assertEqual(answer.state, PatientMotion.BAD_STAMP)
+            self.assertIn('in the future', answer.reason)
+            status = self.graph.diagnosis(lambda s: 'BAD_STAMP' in s.message, 'bad stamp')
+            self.assertEqual(status.level, DiagnosticStatus.ERROR)
+            self.expose(self.regions(index), index)
+            self.expect_pose(index)
+        for stamp in futures:
+            self.assertNotIn(stamp, self.graph.poses)
+            self.assertNotIn(stamp, self.graph.transforms)
+        self.graph.diagnosis(lambda s: int(value(s, key)) - int(value(before, key)) == 2, key)
 
     def test_one_detector_silent(self):
         before = self.graph.diagnosis(lambda s: True, 'drops')

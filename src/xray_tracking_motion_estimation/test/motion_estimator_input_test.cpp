@@ -81,6 +81,19 @@ TEST(BadInput, ParallelViewsAreRefused)
   EXPECT_LT(relativeError(three, { 1, 2, 3 }, EstimationMethod::LEAST_SQUARES), 1e-6);
 }
 
+// Two sources beside each other and one panel's plane: the rays differ, but no panel sees motion along room z.
+TEST(BadInput, BackprojectionOfParallelPanelsIsRefused)
+{
+  std::vector<DetectorDescription> views{ viewAt("left", 0.0), viewAt("right", 0.0) };
+  views[0].source.x() -= 400.0;
+  views[1].source.x() += 400.0;
+  const Scene scene{ views, { 0, 0, 0 } };
+  const MotionEstimate estimate = estimateExact(scene, { 1.0, 2.0, 3.0 }, EstimationMethod::BACKPROJECTION);
+  EXPECT_EQ(estimate.status, EstimateStatus::INVALID);
+  EXPECT_TRUE(estimate.translation.isZero());
+  EXPECT_LT(relativeError(scene, { 1.0, 2.0, 3.0 }, EstimationMethod::LEAST_SQUARES), 1e-6);
+}
+
 TEST(BadInput, MeasurementsThatAreNoneAreRefused)
 {
   const Scene scene{ cyberknife(), { 10.0, -15.0, 20.0 } };
@@ -132,6 +145,8 @@ TEST(BadInput, OptionsNameTheKey)
     refused("rotation_sigma", &MotionEstimationOptions::rotation_sigma, value);
     refused("min_view_angle", &MotionEstimationOptions::min_view_angle, value);
   }
+  refused("tissue_sigma", &MotionEstimationOptions::tissue_sigma, -0.1);
+  refused("tissue_sigma", &MotionEstimationOptions::tissue_sigma, kNaN);
   refused("significance", &MotionEstimationOptions::significance, 1.0);
   refused("min_view_angle", &MotionEstimationOptions::min_view_angle, 2.0);
   EXPECT_THROW(estimationMethodFromName("Least_Squares"), std::invalid_argument);

@@ -19,6 +19,7 @@ TARGET_SPEED = 0.015  # m/s, the default
 class PairingTest(EstimationTestCase):
     def setUp(self):
         self.start = 800000 * NANOSECONDS
+        self.begin_anew()
 
     def apart(self, index, reference=0, later=LATER):
         """Detector b's stamps, its template's reference included, are later."""
@@ -48,6 +49,7 @@ class PairingTest(EstimationTestCase):
 
     def test_too_far_apart(self):
         self.start -= 1000 * NANOSECONDS
+        self.begin_anew()
         for index in range(4):
             self.publish(self.apart(index, later=12 * LATER))
         self.expose(self.apart(10, reference=10), 10)

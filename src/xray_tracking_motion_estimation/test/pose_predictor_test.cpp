@@ -226,6 +226,32 @@ TEST(PosePredictor, KeepsWhatNoFilterCanRemove)
   EXPECT_LT(poseError(prediction->room_from_patient, tracePose(Vector6d::Zero())).norm(), 1e-9);
 }
 
+// It is an error that stays: nothing is filtered otherwise, from the first exposure on.
+TEST(PosePredictor, TissueOnlyAddsToTheCovariance)
+{
+  PosePredictorOptions options;
+  options.tissue_sigma = 1.0;
+  PosePredictor with(options, traceTarget());
+  PosePredictor without({}, traceTarget());
+  const MotionTrace trace = breathing(5, 5.0);
+  NoisyTracker tracker{ sigmas(0.1, 0.002), std::mt19937(6) };
+  for (double time = 0.0; time < 3.0; time += kExposureInterval)
+  {
+    const auto [pose, covariance] = tracker.measure(trace(time));
+    const std::int64_t stamp = std::llround(1e9 * time);
+    Matrix6d more = covariance;
+    more.diagonal().head<3>().array() += 1.0;
+    ASSERT_TRUE(with.add(stamp, pose, more) && without.add(stamp, pose, covariance));
+    const PosePrediction a = *with.predict(stamp + kLatency);
+    const PosePrediction b = *without.predict(stamp + kLatency);
+    EXPECT_LT(poseError(a.room_from_patient, b.room_from_patient).norm(), 1e-6);
+    const Matrix6d added = covarianceAt(traceTarget(), a.room_from_patient, a.covariance) -
+                           covarianceAt(traceTarget(), b.room_from_patient, b.covariance);
+    EXPECT_LT((added.diagonal().head<3>().array() - 1.0).abs().maxCoeff(), 1e-6);
+    EXPECT_LT(added.diagonal().tail<3>().cwiseAbs().maxCoeff(), 1e-9);
+  }
+}
+
 TEST(PosePredictor, StartsOverAfterAGap)
 {
   const Matrix6d at_target = sigmas(0.05, 0.001).cwiseAbs2().asDiagonal();
@@ -331,6 +357,9 @@ TEST(PosePredictor, RefusesBadOptions)
   EXPECT_THROW(PosePredictor(options, traceTarget()), std::invalid_argument);
   options = {};
   options.max_gap = 0.1;
+  EXPECT_THROW(PosePredictor(options, traceTarget()), std::invalid_argument);
+  options = {};
+  options.tissue_sigma = -1.0;
   EXPECT_THROW(PosePredictor(options, traceTarget()), std::invalid_argument);
 }
 }  // namespace

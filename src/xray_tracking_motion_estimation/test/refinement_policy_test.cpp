@@ -45,7 +45,7 @@ protected:
     now += kInterval;
     const RigidTransform pose = tracePose(motion);
     Vector6d variances;
-    variances << 0.04, 0.04, 0.04, 3e-4, 3e-4, 3e-4;
+    variances << Eigen::Vector3d::Constant(tracked_variance), 3e-4, 3e-4, 3e-4;
     return { now + 1000000 * kMillisecond, pose, covarianceAtOrigin(pose, variances.asDiagonal()), disagreement };
   }
 
@@ -94,6 +94,7 @@ protected:
   }
 
   RefinementPolicyOptions options;
+  double tracked_variance = 1.04;  ///< 1 mm of tissue and 0.2 mm of the tracks [mm^2]
   std::vector<RefinementRequest> requests;
   bool reachable = true;
   std::int64_t now = 0;
@@ -315,14 +316,14 @@ TEST_F(RefinementTest, AnExposureWithoutAPoseIsRefinedFromTheLastOne)
 // axis may be off by 4.74 of them: 1.06 mm, 0.083 rad.
 TEST_F(RefinementTest, RefusesWhatContradictsTheTracks)
 {
-  // With tissue_sigma 4.74 * sqrt(0.05 + 1) = 4.86 mm.
+  // With 1 mm of tissue 4.74 * sqrt(0.05 + 1) = 4.86 mm.
   expectRefused("contradicts", [](RefinementReply& reply) { reply.room_from_patient = tracePose(moved(5.9)); });
   {
     RefinementPolicy policy = makePolicy();
     policy.onExposure(exposureAt(moved(1.0)), now);
     EXPECT_TRUE(policy.onReply(answer(moved(5.8)))) << policy.lastRefusal();
   }
-  options.tissue_sigma = 0.0;
+  tracked_variance = 0.04;
   expectRefused("contradicts", [](RefinementReply& reply) { reply.room_from_patient = tracePose(moved(2.08)); });
   options.mode = RefinementMode::EVERY_FRAME;
   RefinementPolicy policy = makePolicy();
@@ -402,7 +403,6 @@ TEST(RefinementPolicyOptions, AreChecked)
   };
   EXPECT_TRUE(refused([](auto& o) { o.every_n = 0; }, "every_n"));
   EXPECT_TRUE(refused([](auto& o) { o.queue_size = 0; }, "queue_size"));
-  EXPECT_TRUE(refused([](auto& o) { o.tissue_sigma = -1.0; }, "tissue_sigma"));
   EXPECT_TRUE(refused([](auto& o) { o.drift = 0.0; }, "drift"));
   EXPECT_TRUE(refused([](auto& o) { o.drift_rotation = -1.0; }, "drift_rotation"));
   EXPECT_TRUE(refused([](auto& o) { o.drift_residual = 0.0; }, "drift_residual"));

@@ -231,7 +231,8 @@ class RefinementTest(LiveTestCase):
 
     def test_7_before_anything_is_measured(self):
         """Templates of which nothing is known yet are those of the initial pose, whatever was refined before."""
-        start = rospy.Time.now().to_nsec() - 5000 * NANOSECONDS  # a run that begins anew
+        self.start = start = rospy.Time.now().to_nsec() - 5000 * NANOSECONDS
+        self.begin_anew()
 
         def lost(regions):
             for region in regions:

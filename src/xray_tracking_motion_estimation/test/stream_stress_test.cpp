@@ -151,7 +151,7 @@ TEST_P(StreamStress, NothingGrowsNothingStaleGateShutInDoubt)
     Outcome outcome;
     {
       const HeapWatch watch;
-      outcome = assembler.add(delivery.view, stampOf(delivery.exposed), delivery);
+      outcome = assembler.add(delivery.view, stampOf(delivery.exposed), delivery, stampOf(delivery.arrival));
     }
     ASSERT_LE(assembler.pending(), 100u);
     if (outcome != Outcome::COMPLETE)

@@ -19,6 +19,7 @@ class ThreeViewsTest(EstimationTestCase):
     def setUp(self):
         ThreeViewsTest.runs += 1
         self.start = (800000 - 1000 * ThreeViewsTest.runs) * NANOSECONDS
+        self.begin_anew()
 
     def expect(self, index, views):
         answer = self.answer(index)

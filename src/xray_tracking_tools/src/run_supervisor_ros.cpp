@@ -10,6 +10,7 @@
 #include <std_srvs/Trigger.h>
 
 #include "xray_tracking_conversions/conversions.h"
+#include "xray_tracking_conversions/parameters.h"
 
 namespace xray_tracking
 {
@@ -35,6 +36,8 @@ const char* stateName(std::uint8_t state)
       return "INCONSISTENT";
     case PatientMotion::NO_REFERENCE:
       return "NO_REFERENCE";
+    case PatientMotion::BAD_STAMP:
+      return "BAD_STAMP";
     default:
       return "state unknown";
   }
@@ -91,23 +94,23 @@ void addRequiredSubscribers(XmlRpc::XmlRpcValue& value, const std::string& key, 
 
 RunSupervisorRos::RunSupervisorRos(ros::NodeHandle nh, ros::NodeHandle pnh)
 {
-  const int exposures = pnh.param("exposures", 0);
+  const int exposures = readParameter(pnh, "exposures", 0);
   if (exposures < 1)
   {
     throw std::invalid_argument("~exposures is " + std::to_string(exposures) + ", expected 1 or more");
   }
   exposures_ = exposures;
-  stall_timeout_s_ = pnh.param("stall_timeout", 30.0);
+  stall_timeout_s_ = readParameter(pnh, "stall_timeout", 30.0);
   if (!(stall_timeout_s_ > 0.0))
   {
     throw std::invalid_argument("~stall_timeout is " + std::to_string(stall_timeout_s_) + ", expected more than 0 s");
   }
-  const std::string start_mode = pnh.param<std::string>("start_mode", "simulator");
+  const std::string start_mode = readParameter<std::string>(pnh, "start_mode", "simulator");
   if (start_mode != "simulator" && start_mode != "playback")
   {
     throw std::invalid_argument("~start_mode is '" + start_mode + "', expected simulator or playback");
   }
-  const std::string method = pnh.param<std::string>("method", "tracking");
+  const std::string method = readParameter<std::string>(pnh, "method", "tracking");
   if (method != "tracking" && method != "registration" && method != "tracking_and_registration")
   {
     throw std::invalid_argument("~method is '" + method +
@@ -116,7 +119,7 @@ RunSupervisorRos::RunSupervisorRos(ros::NodeHandle nh, ros::NodeHandle pnh)
   registers_ = method != "tracking";
   registers_tracks_ = method == "tracking_and_registration";
   playback_ = start_mode == "playback";
-  start_service_ = nh.resolveName(pnh.param<std::string>("start_service", "start"));
+  start_service_ = nh.resolveName(readParameter<std::string>(pnh, "start_service", "start"));
 
   XmlRpc::XmlRpcValue required;
   if (pnh.getParam("required_subscribers", required))
@@ -125,13 +128,12 @@ RunSupervisorRos::RunSupervisorRos(ros::NodeHandle nh, ros::NodeHandle pnh)
   }
   XmlRpc::XmlRpcValue required_of_detectors;
   const bool detectors_require = pnh.getParam("required_detector_subscribers", required_of_detectors);
-  XmlRpc::XmlRpcValue names;
-  if (!pnh.getParam("detectors", names))
+  const auto names = readParameter<std::vector<std::string>>(pnh, "detectors", { "detector_a", "detector_b" });
+  if (names.empty())
   {
-    names[0] = "detector_a";
-    names[1] = "detector_b";
+    throw std::invalid_argument("~detectors is empty, expected the detectors' names");
   }
-  for (const std::string& name : stringList(names, "~detectors"))
+  for (const std::string& name : names)
   {
     if (detectors_require)
     {

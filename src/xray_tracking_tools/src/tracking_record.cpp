@@ -48,9 +48,9 @@ void readMessage(const rosbag::MessageInstance& instance, const std::string& top
     if (const auto motion = instance.instantiate<PatientMotion>())
     {
       stamp_ns = nanosecondsFromTime(motion->header.stamp) - epoch_ns;
-      if (motion->state > PatientMotion::NO_REFERENCE)
+      if (motion->state > PatientMotion::BAD_STAMP)
       {
-        throw std::invalid_argument("state is " + std::to_string(motion->state) + ", expected 0 to 4");
+        throw std::invalid_argument("state is " + std::to_string(motion->state) + ", expected 0 to 5");
       }
       insertOnce(record.motions, stamp_ns, *motion);
     }

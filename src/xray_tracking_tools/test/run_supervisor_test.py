@@ -194,7 +194,15 @@ class RunSupervisorTest(unittest.TestCase):
                  ({"exposures": 3, "start_mode": "both"}, "~start_mode is 'both'"),
                  ({"exposures": 3, "method": "guessing"}, "~method is 'guessing'"),
                  ({"exposures": 3, "stall_timeout": 0.0}, "~stall_timeout is 0"),
-                 ({"exposures": 3, "detectors": "detector_a"}, "~detectors is not a list"),
+                 ({"exposures": 3, "detectors": []}, "~detectors is empty"),
+                 # Of the wrong type; a text that reads like a number is none.
+                 ({"exposures": "3"}, "run_supervisor/exposures is 3, expected a whole number"),
+                 ({"exposures": 3, "stall_timeout": "long"}, "stall_timeout is long, expected a number"),
+                 ({"exposures": 3, "start_mode": 1}, "start_mode is 1, expected a text"),
+                 ({"exposures": 3, "method": True}, "method is 1, expected a text"),
+                 ({"exposures": 3, "start_service": 7}, "start_service is 7, expected a text"),
+                 ({"exposures": 3, "detectors": "detector_a"}, "detectors is detector_a, expected a list of texts"),
+                 ({"exposures": 3, "detectors": ["a", 5]}, "expected a list of texts"),
                  ({"exposures": 3, "required_subscribers": ["a"]}, "~required_subscribers is not a map"),
                  ({"exposures": 3, "required_subscribers": {"a": 5}}, "~required_subscribers/a is not a list")]
         for i, (parameters, message) in enumerate(cases):

@@ -44,7 +44,7 @@ struct BeamGateOptions
   double max_rotation = 0.0524;
 
   /// Standard deviation of the target's centre in its worst direction [mm], > 0.
-  double max_sigma = 1.0;
+  double max_sigma = 1.5;
 
   /// Speed of the target's centre from one exposure to the next that a body can have [mm/s], > 0. Breathing makes up to
   /// 40; the noise of two exposures 0.1 s apart or less adds to it.
@@ -67,7 +67,7 @@ struct GateExposure
   std::int64_t arrival = 0;  ///< when its pose was there, monotonic clock [ns]
   std::int64_t delay = 0;    ///< from exposure to arrival, by the clock that stamps are of [ns]
 
-  /// NONE if it has a pose; NOT_MEASURED or INCONSISTENT otherwise, with a text.
+  /// NONE if it has a pose; NOT_MEASURED, INCONSISTENT or BAD_STAMP (stamped in the future) otherwise, with a text.
   GateReason fault = GateReason::NOT_MEASURED;
   std::string text;
 

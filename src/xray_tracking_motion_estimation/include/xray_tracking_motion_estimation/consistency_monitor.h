@@ -12,6 +12,10 @@ namespace xray_tracking
 {
 struct ConsistencyOptions
 {
+  /// Standard deviation of a track along either pixel axis that the tracker's own covariance does not know of and that
+  /// is new in every exposure [px], > 0.
+  double floor_sigma = 0.5;
+
   /// Number of exposures whose residuals are averaged, >= 1. A disagreement that stays is found up to sqrt(window)
   /// times smaller than by one exposure alone, `window` exposures after it began.
   int window = 3;
@@ -31,12 +35,15 @@ struct ConsistencyOptions
 struct ConsistencyReport
 {
   bool consistent = true;
-  std::string reason;       ///< empty if consistent
   double chi_square = 0.0;  ///< of the residuals averaged over the window
+  double limit = 0.0;       ///< of chi_square, beyond which they are not consistent
   int degrees_of_freedom = 0;
   double disagreement = 0.0;  ///< averaged, RMS over the views [px]
   int exposures = 0;          ///< averaged over
 };
+
+/// For people.
+std::string describe(const ConsistencyReport& report);
 
 /// What one view says of an axis that others see too, checked over several exposures: averages the signed residuals of
 /// the latest exposures and tests whether one motion of the target could still explain them.

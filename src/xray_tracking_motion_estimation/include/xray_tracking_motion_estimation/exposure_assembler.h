@@ -14,7 +14,9 @@ namespace xray_tracking
 /// a tolerance. Exposures come out complete and in the order of their stamps; whatever else arrives is counted. A
 /// view's own items are expected in the order of their stamps, the views relative to each other in any order.
 ///
-/// A recording that starts again is recognised by a complete exposure more than a second older than the last one.
+/// An exposure more than a second older than the last one is late, too, unless time has gone back: the last one is of
+/// the future by now, or for a second nothing but such exposures came, each later than the one before it (a recording
+/// that is played again without its clock).
 ///
 /// Memory is allocated by the constructor only.
 template <typename Item>
@@ -25,14 +27,21 @@ public:
   {
     PENDING,   ///< other views' items are still to come
     COMPLETE,  ///< exposure() is what add() completed
+    FUTURE,    ///< as COMPLETE, but stamped later than it can have been made; the ones that follow do not count from it
     DUPLICATE,
     LATE  ///< the exposure is older than one that has been completed
   };
 
   /// @param capacity number of incomplete exposures kept, 1 or more; what has waited longest gives way
   /// @param tolerance of stamps of one exposure [ns], less than half the time between exposures; 0: the same stamp
-  ExposureAssembler(std::size_t views, std::size_t capacity, std::int64_t tolerance = 0)
-    : views_(views), capacity_(capacity), tolerance_(tolerance), expected_(views, true), slots_(capacity + 1)
+  /// @param max_ahead how far stamps may be ahead of the clock [ns]
+  ExposureAssembler(std::size_t views, std::size_t capacity, std::int64_t tolerance = 0, std::int64_t max_ahead = 0)
+    : views_(views),
+      capacity_(capacity),
+      tolerance_(tolerance),
+      max_ahead_(max_ahead),
+      expected_(views, true),
+      slots_(capacity + 1)
   {
     for (Slot& slot : slots_)
     {
@@ -41,6 +50,7 @@ public:
     }
     exposure_.reserve(views);
     stamps_.resize(views);
+    last_.reserve(views);
   }
 
   /// Whether exposures wait for this view, as they do at first. One that is not waited for and not there is an Item()
@@ -48,9 +58,10 @@ public:
   void expect(std::size_t view, bool expected) { expected_[view] = expected; }
 
   /// @param stamp exposure time [ns]
-  Outcome add(std::size_t view, std::int64_t stamp, Item item)
+  /// @param now by the clock that stamps are of [ns]
+  Outcome add(std::size_t view, std::int64_t stamp, Item item, std::int64_t now)
   {
-    if (!exposure_.empty() && stamp < stamps_[view] && stamp >= stamps_[view] - kBackwardJump)
+    if (!last_.empty() && stamp < last_[view] && stamp >= last_[view] - kBackwardJump)
     {
       ++late_;
       return Outcome::LATE;
@@ -58,7 +69,7 @@ public:
     const auto waiting = slots_.begin() + static_cast<std::ptrdiff_t>(used_);
     const bool known = std::any_of(slots_.begin(), waiting,
                                    [&](const Slot& slot) { return slot.items[view] && slot.stamps[view] == stamp; });
-    if (known || (!exposure_.empty() && stamp == stamps_[view]))
+    if (known || (!last_.empty() && stamp == last_[view]))
     {
       ++duplicates_;
       return Outcome::DUPLICATE;
@@ -82,8 +93,7 @@ public:
     slot->items[view] = std::move(item);
     if (isComplete(*slot))
     {
-      complete(slot);
-      return Outcome::COMPLETE;
+      return complete(slot, now);
     }
     if (used_ > capacity_)
     {
@@ -92,13 +102,13 @@ public:
     return Outcome::PENDING;
   }
 
-  /// The items of the last complete exposure, one a view.
+  /// The items of the last exposure that was COMPLETE or FUTURE, one a view.
   const std::vector<Item>& exposure() const { return exposure_; }
 
-  /// The last complete exposure's stamp: the first view's [ns].
+  /// That exposure's stamp: the first view's [ns].
   std::int64_t stamp() const { return stamps_.front(); }
 
-  /// How much later than stamp() a view's item of the last complete exposure was exposed [ns].
+  /// How much later than stamp() a view's item of it was exposed [ns].
   std::int64_t offset(std::size_t view) const { return stamps_[view] - stamps_.front(); }
 
   /// True if the last complete exposure is the first one after a backward jump of time.
@@ -108,9 +118,11 @@ public:
   std::size_t incomplete() const { return incomplete_; }  ///< exposures that were given up because a view is missing
   std::size_t duplicates() const { return duplicates_; }  ///< items
   std::size_t late() const { return late_; }              ///< items
+  std::size_t future() const { return future_; }          ///< exposures
 
 private:
-  static constexpr std::int64_t kBackwardJump = 1000000000;  // ns
+  static constexpr std::int64_t kBackwardJump = 1000000000;      // ns, of stamps
+  static constexpr std::int64_t kRestartConfirmed = 1000000000;  // ns, of the clock
 
   struct Slot
   {
@@ -132,28 +144,62 @@ private:
     return true;
   }
 
-  void complete(SlotIterator slot)
+  Outcome complete(SlotIterator slot, std::int64_t now)
   {
-    const bool first = exposure_.empty();
-    const std::int64_t last = stamps_.front();
+    const Slot* const completed = &*slot;
+    const std::int64_t begun = slot->stamp;
+    const std::int64_t stamp = slot->items.front() ? slot->stamps.front() : begun;
+    const bool future = stamp > now + max_ahead_;
+    const bool older = !last_.empty() && stamp < last_.front();
+    if (!future && older && !timeWentBack(stamp, now))
+    {
+      late_ += static_cast<std::size_t>(std::count_if(
+          slot->items.begin(), slot->items.end(), [](const std::optional<Item>& item) { return item.has_value(); }));
+      giveUp([&](const Slot& other) { return &other == completed; });
+      return Outcome::LATE;
+    }
     exposure_.clear();
     for (std::size_t view = 0; view < views_; ++view)
     {
       exposure_.push_back(slot->items[view] ? std::move(*slot->items[view]) : Item());
-      stamps_[view] = slot->items[view] ? slot->stamps[view] : slot->stamp;
+      stamps_[view] = slot->items[view] ? slot->stamps[view] : begun;
     }
-    restarted_ = !first && stamps_.front() < last;
+    if (future)
+    {
+      ++future_;
+      restarted_ = false;
+      giveUp([&](const Slot& other) { return &other == completed; });
+      return Outcome::FUTURE;
+    }
 
+    restarted_ = older;
+    older_.reset();
     // What began to wait before this exposure and is older was overtaken; what began later and is older belongs to a
     // recording that starts again. After such a start, what is newer than its end belongs to the time before it.
-    const std::int64_t stamp = slot->stamp;
-    const Slot* const completed = &*slot;
     incomplete_ += giveUp(
-                       [&](const Slot& other) {
-                         return &other == completed || (&other < completed && other.stamp < stamp) ||
-                                (restarted_ && other.stamp > last);
+                       [&](const Slot& other)
+                       {
+                         return &other == completed || (&other < completed && other.stamp < begun) ||
+                                (restarted_ && other.stamp > last_.front());
                        }) -
                    1;  // the completed one itself is none
+    last_ = stamps_;
+    return Outcome::COMPLETE;
+  }
+
+  /// @param stamp of an exposure that is older than the last one
+  bool timeWentBack(std::int64_t stamp, std::int64_t now)
+  {
+    if (last_.front() > now + max_ahead_)
+    {
+      return true;  // it was not so when it came
+    }
+    if (!older_ || stamp <= older_->stamp)
+    {
+      older_ = Older{ stamp, now };
+    }
+    older_->stamp = stamp;
+    return now - older_->since >= kRestartConfirmed;
   }
 
   /// @return how many
@@ -178,14 +224,23 @@ private:
   std::size_t views_;
   std::size_t capacity_;
   std::int64_t tolerance_;
+  std::int64_t max_ahead_;
   std::vector<bool> expected_;
   std::vector<Slot> slots_;  ///< the first `used_` are in use, in the order in which they began to wait
   std::size_t used_ = 0;
   std::vector<Item> exposure_;
   std::vector<std::int64_t> stamps_;  ///< of exposure_
+  std::vector<std::int64_t> last_;    ///< of the last complete exposure; empty before
+  struct Older
+  {
+    std::int64_t stamp;  ///< of the latest one
+    std::int64_t since;  ///< when the first one came
+  };
+  std::optional<Older> older_;  ///< exposures older than the last one that came since it
   bool restarted_ = false;
   std::size_t incomplete_ = 0;
   std::size_t duplicates_ = 0;
   std::size_t late_ = 0;
+  std::size_t future_ = 0;
 };
 }  // namespace xray_tracking

@@ -22,6 +22,7 @@ struct MotionEstimationParameters
   bool bone_shape = false;  ///< the target's shape is that of its bone; otherwise it is not known
   MotionEstimationOptions estimation;
   ConsistencyOptions consistency;
+  ConsistencyOptions rigid_consistency;  ///< beyond which the views of a rigid target differ
   PosePredictorOptions prediction;
   BeamGateOptions gate;
   RefinementPolicyOptions refinement;

@@ -133,6 +133,7 @@ private:
   std::optional<MotionEstimator> estimator_;
   std::string observability_;  ///< of the geometry, for people
   std::optional<ConsistencyMonitor> consistency_;
+  std::optional<ConsistencyMonitor> rigid_consistency_;  ///< refuses nothing
   PoseHistory history_;
   /// The last pose that is known, measured or refined, and its stamp [ns].
   std::optional<std::pair<std::int64_t, RigidTransform>> last_pose_;
@@ -158,6 +159,7 @@ private:
   ros::SteadyTime last_exposure_;  ///< when the last one was complete
   std::size_t exposures_ = 0;
   std::size_t poses_ = 0;
+  std::size_t differing_ = 0;  ///< exposures whose views differed
   std::size_t exposures_at_last_diagnosis_ = 0;
   std::size_t drops_at_last_warning_ = 0;
   ros::SteadyTime last_diagnosis_;

@@ -50,6 +50,11 @@ struct MotionEstimationOptions
   /// measured [rad], > 0. What the tracks do not tell of the rotation is estimated as zero with this uncertainty.
   double rotation_sigma = 0.0349;
 
+  /// Standard deviation, along any room axis, of what tracking takes for the target's motion and is that of other
+  /// tissue in its regions [mm], >= 0. It looks like motion to all views, so that no track tells of it: part of the
+  /// covariance of the target's centre, not of weights and consistency.
+  double tissue_sigma = 0.0;
+
   /// Views whose rays through the target are nowhere further apart than this are refused [rad], in (0, pi / 2).
   double min_view_angle = 0.0873;
 
@@ -77,7 +82,7 @@ struct ViewResidual
 {
   std::size_t view = 0;
   Eigen::Vector2d residual = Eigen::Vector2d::Zero();    ///< displacement of the region's centre less estimate [px]
-  Eigen::Matrix2d covariance = Eigen::Matrix2d::Zero();  ///< of the displacement, with the floor [px^2]
+  Eigen::Matrix2d covariance = Eigen::Matrix2d::Zero();  ///< of the displacement, without the floor [px^2]
   Eigen::Matrix<double, 2, 3> jacobian = Eigen::Matrix<double, 2, 3>::Zero();  ///< by the target's centre [px / mm]
 };
 

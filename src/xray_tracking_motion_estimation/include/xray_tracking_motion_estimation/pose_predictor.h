@@ -21,6 +21,9 @@ struct PosePredictorOptions
   /// latency.
   double max_gap = 1.0;
 
+  /// Part of the centre's standard deviation along any axis that stays for many exposures [mm], >= 0: it is no noise.
+  double tissue_sigma = 0.0;
+
   /// @throws std::invalid_argument naming the key, its value and what was expected
   void validate() const;
 };

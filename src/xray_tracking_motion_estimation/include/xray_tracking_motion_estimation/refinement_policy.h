@@ -56,12 +56,6 @@ struct RefinementPolicyOptions
   /// Probability that a good refinement is refused because it seems to contradict the tracked pose, in (0, 1).
   double significance = 0.001;
 
-  /// For that: standard deviation, along any axis, of what tracking takes for the target's motion and is that of other
-  /// tissue which its regions show [mm], >= 0. The tracked pose's covariance knows of the images' noise and of the
-  /// views' disagreement alone. 1 mm is what the method's authors measured on patients (TRE below 1.2 mm in 32 %, below
-  /// 2.4 mm in 82 % of the frames; IEEE Trans. Med. Imaging 24(11), 2005).
-  double tissue_sigma = 1.0;
-
   /// @throws std::invalid_argument naming the key, its value and what was expected
   void validate() const;
 };
