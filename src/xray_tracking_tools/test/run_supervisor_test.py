@@ -204,6 +204,8 @@ class RunSupervisorTest(unittest.TestCase):
                  ({"exposures": 3, "detectors": "detector_a"}, "detectors is detector_a, expected a list of texts"),
                  ({"exposures": 3, "detectors": ["a", 5]}, "expected a list of texts"),
                  ({"exposures": 3, "required_subscribers": ["a"]}, "~required_subscribers is not a map"),
+                 ({"exposures": 3, "required_detector_subscribers": ["a"]},
+                  "~required_detector_subscribers is not a map"),
                  ({"exposures": 3, "required_subscribers": {"a": 5}}, "~required_subscribers/a is not a list")]
         for i, (parameters, message) in enumerate(cases):
             status, output = self.end_of(Graph("bad_%d" % i, service=None).supervise(**parameters))
