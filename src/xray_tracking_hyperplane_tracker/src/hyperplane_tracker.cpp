@@ -171,6 +171,7 @@ void HyperplaneTracker::search(const cv::Mat& image, const Warp& start, bool onl
   if (best)
   {
     state_->warp = best->warp;
+    t.believe(*best);
   }
   result_.iterations = iterations;
 }

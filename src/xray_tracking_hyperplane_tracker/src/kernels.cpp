@@ -30,6 +30,28 @@ void samplePlain(const std::uint16_t* pixels, std::size_t row_length, const floa
   }
 }
 
+void sampleSplinePlain(const std::uint16_t* pixels, std::size_t row_length, const float* x, const float* y,
+                       std::ptrdiff_t begin, std::ptrdiff_t end, const PixelMap& m, float* values)
+{
+  for (std::ptrdiff_t i = begin; i < end; ++i)
+  {
+    const float column = m.xx * x[i] + (m.xy * y[i] + m.x0);
+    const float row = m.yx * x[i] + (m.yy * y[i] + m.y0);
+    const int left = static_cast<int>(column);
+    const int top = static_cast<int>(row);
+    float along_x[4], along_y[4];
+    splineWeights(column - static_cast<float>(left), along_x);
+    splineWeights(row - static_cast<float>(top), along_y);
+    const std::uint16_t* p = pixels + static_cast<std::size_t>(top - 1) * row_length + (left - 1);
+    float sum = 0.f;
+    for (int r = 0; r < 4; ++r, p += row_length)
+    {
+      sum += along_y[r] * (along_x[0] * p[0] + along_x[1] * p[1] + along_x[2] * p[2] + along_x[3] * p[3]);
+    }
+    values[i] = sum;
+  }
+}
+
 void attenuatePlain(float* values, std::ptrdiff_t begin, std::ptrdiff_t end, float offset)
 {
   for (std::ptrdiff_t i = begin; i < end; ++i)
@@ -82,6 +104,63 @@ XRAY_TRACKING_AVX2 std::ptrdiff_t sampleAvx2(const std::uint16_t* pixels, std::s
     const __m256 upper = _mm256_fmadd_ps(u, _mm256_sub_ps(a1, a0), a0);
     const __m256 lower = _mm256_fmadd_ps(u, _mm256_sub_ps(b1, b0), b0);
     _mm256_storeu_ps(values + i, _mm256_fmadd_ps(v, _mm256_sub_ps(lower, upper), upper));
+  }
+  return i;
+}
+
+struct SplineVectors
+{
+  __m256 weights[4];
+};
+
+XRAY_TRACKING_AVX2 inline SplineVectors splineVectors(__m256 t)
+{
+  const __m256 sixth = _mm256_set1_ps(1.f / 6.f), two_thirds = _mm256_set1_ps(2.f / 3.f), half = _mm256_set1_ps(0.5f);
+  const __m256 one = _mm256_set1_ps(1.f);
+  const __m256 u = _mm256_sub_ps(one, t);
+  const __m256 tt = _mm256_mul_ps(t, t), uu = _mm256_mul_ps(u, u);
+  SplineVectors v;
+  v.weights[0] = _mm256_mul_ps(sixth, _mm256_mul_ps(uu, u));
+  v.weights[1] = _mm256_fmadd_ps(tt, _mm256_fmsub_ps(half, t, one), two_thirds);
+  v.weights[2] = _mm256_fmadd_ps(uu, _mm256_fmsub_ps(half, u, one), two_thirds);
+  v.weights[3] = _mm256_mul_ps(sixth, _mm256_mul_ps(tt, t));
+  return v;
+}
+
+XRAY_TRACKING_AVX2 std::ptrdiff_t sampleSplineAvx2(const std::uint16_t* pixels, std::size_t row_length, const float* x,
+                                                   const float* y, std::ptrdiff_t count, const PixelMap& m,
+                                                   float* values)
+{
+  const __m256 xx = _mm256_set1_ps(m.xx), xy = _mm256_set1_ps(m.xy), x0 = _mm256_set1_ps(m.x0);
+  const __m256 yx = _mm256_set1_ps(m.yx), yy = _mm256_set1_ps(m.yy), y0 = _mm256_set1_ps(m.y0);
+  const __m256i stride = _mm256_set1_epi32(static_cast<int>(row_length));
+  const __m256i low = _mm256_set1_epi32(0xffff);
+  std::ptrdiff_t i = 0;
+  for (; i + 8 <= count; i += 8)
+  {
+    const __m256 px = _mm256_loadu_ps(x + i);
+    const __m256 py = _mm256_loadu_ps(y + i);
+    const __m256 column = _mm256_fmadd_ps(xx, px, _mm256_fmadd_ps(xy, py, x0));
+    const __m256 row = _mm256_fmadd_ps(yx, px, _mm256_fmadd_ps(yy, py, y0));
+    const __m256i left = _mm256_cvttps_epi32(column);
+    const __m256i top = _mm256_cvttps_epi32(row);
+    const SplineVectors along_x = splineVectors(_mm256_sub_ps(column, _mm256_cvtepi32_ps(left)));
+    const SplineVectors along_y = splineVectors(_mm256_sub_ps(row, _mm256_cvtepi32_ps(top)));
+    const __m256i place = _mm256_add_epi32(_mm256_mullo_epi32(top, stride), left);
+    const std::uint16_t* first = pixels - row_length - 1;
+    __m256 sum = _mm256_setzero_ps();
+    for (int r = 0; r < 4; ++r, first += row_length)
+    {
+      // A load of 32 bit has a pixel and its right neighbour.
+      const __m256i a = _mm256_i32gather_epi32(reinterpret_cast<const int*>(first), place, 2);
+      const __m256i b = _mm256_i32gather_epi32(reinterpret_cast<const int*>(first + 2), place, 2);
+      __m256 line = _mm256_mul_ps(along_x.weights[0], _mm256_cvtepi32_ps(_mm256_and_si256(a, low)));
+      line = _mm256_fmadd_ps(along_x.weights[1], _mm256_cvtepi32_ps(_mm256_srli_epi32(a, 16)), line);
+      line = _mm256_fmadd_ps(along_x.weights[2], _mm256_cvtepi32_ps(_mm256_and_si256(b, low)), line);
+      line = _mm256_fmadd_ps(along_x.weights[3], _mm256_cvtepi32_ps(_mm256_srli_epi32(b, 16)), line);
+      sum = _mm256_fmadd_ps(along_y.weights[r], line, sum);
+    }
+    _mm256_storeu_ps(values + i, sum);
   }
   return i;
 }
@@ -147,6 +226,28 @@ void sampleBilinear(const std::uint16_t* pixels, std::size_t row_length, const f
   }
 #endif
   samplePlain(pixels, row_length, x, y, done, count, map, values);
+}
+
+void sampleSpline(const std::uint16_t* pixels, std::size_t row_length, const float* x, const float* y,
+                  std::ptrdiff_t count, const PixelMap& map, float* values)
+{
+  std::ptrdiff_t done = 0;
+#ifdef XRAY_TRACKING_AVX2
+  if (kHasAvx2)
+  {
+    done = sampleSplineAvx2(pixels, row_length, x, y, count, map, values);
+  }
+#endif
+  sampleSplinePlain(pixels, row_length, x, y, done, count, map, values);
+}
+
+void splineWeights(float part, float* weights)
+{
+  const float rest = 1.f - part;
+  weights[0] = rest * rest * rest / 6.f;
+  weights[1] = 2.f / 3.f + part * part * (0.5f * part - 1.f);
+  weights[2] = 2.f / 3.f + rest * rest * (0.5f * rest - 1.f);
+  weights[3] = part * part * part / 6.f;
 }
 
 void attenuate(float* values, std::ptrdiff_t count, float offset)

@@ -19,7 +19,8 @@ constexpr double kMaxFitPixels = 2e4;  ///< of larger regions every second, thir
 /// the template.
 ///
 /// The differences d = f(warp(x)) - f0(x) are modelled as J m + N n + noise: J the template's derivatives by the motion
-/// parameters, N the nuisance patterns (shading and the template itself), f0 and J from the template without its noise.
+/// parameters, N the nuisance patterns (shading and the template itself), f0 and J from the template without its noise and
+/// blurred as f is, by its sampling (sampleSpline()).
 /// With instruments Z = P W J, P the projection that takes N out, m and n solve [Z N]^T (d - J m - N n) = 0. There are
 /// two solutions: with W = 1 for white noise alone, the best where nothing moves on its own, and with W the inverse of
 /// the covariance of white noise and an overlay with the spectrum 1/f^3 (a filter, by cosine transforms), generalised
@@ -96,7 +97,8 @@ private:
   int unknowns_;  ///< parameters and nuisance patterns
   int step_;      ///< distance of sampled pixels [px]
   cv::Size grid_;
-  double floor_;  ///< least variance of a residual
+  double floor_;             ///< least variance of a residual
+  double noise_seen_ = 1.0;  ///< share of the white noise's scatter that squares of two by two tiles see
 
   std::vector<Tile> tiles_;  ///< row by row
   Eigen::Index tile_columns_ = 0;

@@ -17,8 +17,23 @@ constexpr int kLane = 8;          ///< floats in a vector
 constexpr double kTiles = 100.0;  ///< about; enough for their scatter to be an estimate
 /// Error of the motion [px] whose residual does not make an outlier.
 constexpr float kMotionError = 0.15f;
-/// A residual's variance in units of the noise's is hardly less: between pixels, bilinear sampling leaves a quarter.
+/// A residual's variance in units of the noise's is hardly less: the spline's kernel leaves 0.21 between four pixels.
 constexpr double kLeastNoise = 0.2;
+/// Mean distance along an axis of the pixels whose noise the spline's kernel makes alike [px].
+constexpr double kNoiseReach = 0.57;
+/// What solve() finds at the pixels of an image with these values: it samples counts before they become attenuation.
+cv::Mat asSampled(const cv::Mat& values, const IntensityModel& intensity)
+{
+  if (intensity.kind != IntensityModel::Kind::COUNTS)
+  {
+    return splineFiltered(values);
+  }
+  cv::Mat counts;
+  cv::exp(-values, counts);
+  counts = splineFiltered(counts);
+  cv::log(counts, counts);
+  return -counts;
+}
 }  // namespace
 
 void RegionFit::layTiles(const cv::Rect& region)
@@ -27,6 +42,8 @@ void RegionFit::layTiles(const cv::Rect& region)
   const int columns = std::max(1, static_cast<int>(std::lround(grid_.width / side)));
   const int rows = std::max(1, static_cast<int>(std::lround(grid_.height / side)));
   tile_columns_ = columns;
+  // Of pairs across the border of two tiles, every second one.
+  noise_seen_ = (1.0 - 0.5 * kNoiseReach * columns / region.width) * (1.0 - 0.5 * kNoiseReach * rows / region.height);
   std::vector<Eigen::Vector2f> places;
   for (int r = 0; r < rows; ++r)
   {
@@ -78,7 +95,9 @@ RegionFit::RegionFit(const cv::Mat& image, const IntensityModel& intensity, cons
       cv::Rect(region.x - kMargin, region.y - kMargin, region.width + 2 * kMargin, region.height + 2 * kMargin) &
       cv::Rect(cv::Point(), image.size());
   const cv::Mat raw = attenuationImage(image(seen), intensity);
-  const cv::Mat smooth = withoutNoise(raw, model.noise);
+  const cv::Mat without_noise = withoutNoise(raw, model.noise);
+  const cv::Mat smooth = asSampled(without_noise, intensity);
+  const cv::Mat noise_image = splineFiltered(raw - without_noise);
   cv::Mat gradient_x, gradient_y;
   cv::Sobel(smooth, gradient_x, CV_32F, 1, 0, 1, 0.5);
   cv::Sobel(smooth, gradient_y, CV_32F, 0, 1, 1, 0.5);
@@ -121,7 +140,7 @@ RegionFit::RegionFit(const cv::Mat& image, const IntensityModel& intensity, cons
   for (Eigen::Index i = 0; i < n; ++i)
   {
     values_[i] = smooth.at<float>(on_grid(i) - seen.tl());
-    noise[i] = raw.at<float>(on_grid(i) - seen.tl()) - values_[i];
+    noise[i] = noise_image.at<float>(on_grid(i) - seen.tl());
     patterns(i, kShadings - 1) = static_cast<double>(values_[i]);
   }
   const auto clear_padding = [this](auto& columns)
