@@ -73,37 +73,64 @@ float dotPlain(const float* a, const float* b, std::ptrdiff_t begin, std::ptrdif
 #ifdef XRAY_TRACKING_AVX2
 const bool kHasAvx2 = __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma");
 
+/// Where eight points are: the pixel's index and the parts of a pixel beyond it.
+struct VectorPlaces
+{
+  __m256i pixel;
+  __m256 u, v;
+};
+
+class VectorMap
+{
+public:
+  XRAY_TRACKING_AVX2 VectorMap(const PixelMap& m, std::size_t row_length)
+    : xx_(_mm256_set1_ps(m.xx)),
+      xy_(_mm256_set1_ps(m.xy)),
+      x0_(_mm256_set1_ps(m.x0)),
+      yx_(_mm256_set1_ps(m.yx)),
+      yy_(_mm256_set1_ps(m.yy)),
+      y0_(_mm256_set1_ps(m.y0)),
+      stride_(_mm256_set1_epi32(static_cast<int>(row_length)))
+  {
+  }
+  XRAY_TRACKING_AVX2 VectorPlaces places(const float* x, const float* y) const
+  {
+    const __m256 px = _mm256_loadu_ps(x);
+    const __m256 py = _mm256_loadu_ps(y);
+    const __m256 column = _mm256_fmadd_ps(xx_, px, _mm256_fmadd_ps(xy_, py, x0_));
+    const __m256 row = _mm256_fmadd_ps(yx_, px, _mm256_fmadd_ps(yy_, py, y0_));
+    const __m256i left = _mm256_cvttps_epi32(column);
+    const __m256i top = _mm256_cvttps_epi32(row);
+    return { _mm256_add_epi32(_mm256_mullo_epi32(top, stride_), left), _mm256_sub_ps(column, _mm256_cvtepi32_ps(left)),
+             _mm256_sub_ps(row, _mm256_cvtepi32_ps(top)) };
+  }
+
+private:
+  __m256 xx_, xy_, x0_, yx_, yy_, y0_;
+  __m256i stride_;
+};
+
 XRAY_TRACKING_AVX2 std::ptrdiff_t sampleAvx2(const std::uint16_t* pixels, std::size_t row_length, const float* x,
                                              const float* y, std::ptrdiff_t count, const PixelMap& m, float* values)
 {
-  const __m256 xx = _mm256_set1_ps(m.xx), xy = _mm256_set1_ps(m.xy), x0 = _mm256_set1_ps(m.x0);
-  const __m256 yx = _mm256_set1_ps(m.yx), yy = _mm256_set1_ps(m.yy), y0 = _mm256_set1_ps(m.y0);
-  const __m256i stride = _mm256_set1_epi32(static_cast<int>(row_length));
+  const VectorMap map(m, row_length);
   const __m256i low = _mm256_set1_epi32(0xffff);
   const int* upper_row = reinterpret_cast<const int*>(pixels);
   const int* lower_row = reinterpret_cast<const int*>(pixels + row_length);
   std::ptrdiff_t i = 0;
   for (; i + 8 <= count; i += 8)
   {
-    const __m256 px = _mm256_loadu_ps(x + i);
-    const __m256 py = _mm256_loadu_ps(y + i);
-    const __m256 column = _mm256_fmadd_ps(xx, px, _mm256_fmadd_ps(xy, py, x0));
-    const __m256 row = _mm256_fmadd_ps(yx, px, _mm256_fmadd_ps(yy, py, y0));
-    const __m256i left = _mm256_cvttps_epi32(column);
-    const __m256i top = _mm256_cvttps_epi32(row);
-    const __m256 u = _mm256_sub_ps(column, _mm256_cvtepi32_ps(left));
-    const __m256 v = _mm256_sub_ps(row, _mm256_cvtepi32_ps(top));
-    const __m256i place = _mm256_add_epi32(_mm256_mullo_epi32(top, stride), left);
+    const VectorPlaces at = map.places(x + i, y + i);
     // A load of 32 bit has a pixel and its right neighbour.
-    const __m256i a = _mm256_i32gather_epi32(upper_row, place, 2);
-    const __m256i b = _mm256_i32gather_epi32(lower_row, place, 2);
+    const __m256i a = _mm256_i32gather_epi32(upper_row, at.pixel, 2);
+    const __m256i b = _mm256_i32gather_epi32(lower_row, at.pixel, 2);
     const __m256 a0 = _mm256_cvtepi32_ps(_mm256_and_si256(a, low));
     const __m256 a1 = _mm256_cvtepi32_ps(_mm256_srli_epi32(a, 16));
     const __m256 b0 = _mm256_cvtepi32_ps(_mm256_and_si256(b, low));
     const __m256 b1 = _mm256_cvtepi32_ps(_mm256_srli_epi32(b, 16));
-    const __m256 upper = _mm256_fmadd_ps(u, _mm256_sub_ps(a1, a0), a0);
-    const __m256 lower = _mm256_fmadd_ps(u, _mm256_sub_ps(b1, b0), b0);
-    _mm256_storeu_ps(values + i, _mm256_fmadd_ps(v, _mm256_sub_ps(lower, upper), upper));
+    const __m256 upper = _mm256_fmadd_ps(at.u, _mm256_sub_ps(a1, a0), a0);
+    const __m256 lower = _mm256_fmadd_ps(at.u, _mm256_sub_ps(b1, b0), b0);
+    _mm256_storeu_ps(values + i, _mm256_fmadd_ps(at.v, _mm256_sub_ps(lower, upper), upper));
   }
   return i;
 }
@@ -131,29 +158,21 @@ XRAY_TRACKING_AVX2 std::ptrdiff_t sampleSplineAvx2(const std::uint16_t* pixels, 
                                                    const float* y, std::ptrdiff_t count, const PixelMap& m,
                                                    float* values)
 {
-  const __m256 xx = _mm256_set1_ps(m.xx), xy = _mm256_set1_ps(m.xy), x0 = _mm256_set1_ps(m.x0);
-  const __m256 yx = _mm256_set1_ps(m.yx), yy = _mm256_set1_ps(m.yy), y0 = _mm256_set1_ps(m.y0);
-  const __m256i stride = _mm256_set1_epi32(static_cast<int>(row_length));
+  const VectorMap map(m, row_length);
   const __m256i low = _mm256_set1_epi32(0xffff);
   std::ptrdiff_t i = 0;
   for (; i + 8 <= count; i += 8)
   {
-    const __m256 px = _mm256_loadu_ps(x + i);
-    const __m256 py = _mm256_loadu_ps(y + i);
-    const __m256 column = _mm256_fmadd_ps(xx, px, _mm256_fmadd_ps(xy, py, x0));
-    const __m256 row = _mm256_fmadd_ps(yx, px, _mm256_fmadd_ps(yy, py, y0));
-    const __m256i left = _mm256_cvttps_epi32(column);
-    const __m256i top = _mm256_cvttps_epi32(row);
-    const SplineVectors along_x = splineVectors(_mm256_sub_ps(column, _mm256_cvtepi32_ps(left)));
-    const SplineVectors along_y = splineVectors(_mm256_sub_ps(row, _mm256_cvtepi32_ps(top)));
-    const __m256i place = _mm256_add_epi32(_mm256_mullo_epi32(top, stride), left);
+    const VectorPlaces at = map.places(x + i, y + i);
+    const SplineVectors along_x = splineVectors(at.u);
+    const SplineVectors along_y = splineVectors(at.v);
     const std::uint16_t* first = pixels - row_length - 1;
     __m256 sum = _mm256_setzero_ps();
     for (int r = 0; r < 4; ++r, first += row_length)
     {
       // A load of 32 bit has a pixel and its right neighbour.
-      const __m256i a = _mm256_i32gather_epi32(reinterpret_cast<const int*>(first), place, 2);
-      const __m256i b = _mm256_i32gather_epi32(reinterpret_cast<const int*>(first + 2), place, 2);
+      const __m256i a = _mm256_i32gather_epi32(reinterpret_cast<const int*>(first), at.pixel, 2);
+      const __m256i b = _mm256_i32gather_epi32(reinterpret_cast<const int*>(first + 2), at.pixel, 2);
       __m256 line = _mm256_mul_ps(along_x.weights[0], _mm256_cvtepi32_ps(_mm256_and_si256(a, low)));
       line = _mm256_fmadd_ps(along_x.weights[1], _mm256_cvtepi32_ps(_mm256_srli_epi32(a, 16)), line);
       line = _mm256_fmadd_ps(along_x.weights[2], _mm256_cvtepi32_ps(_mm256_and_si256(b, low)), line);
@@ -220,10 +239,7 @@ void sampleBilinear(const std::uint16_t* pixels, std::size_t row_length, const f
 {
   std::ptrdiff_t done = 0;
 #ifdef XRAY_TRACKING_AVX2
-  if (kHasAvx2)
-  {
-    done = sampleAvx2(pixels, row_length, x, y, count, map, values);
-  }
+  done = kHasAvx2 ? sampleAvx2(pixels, row_length, x, y, count, map, values) : 0;
 #endif
   samplePlain(pixels, row_length, x, y, done, count, map, values);
 }
@@ -233,10 +249,7 @@ void sampleSpline(const std::uint16_t* pixels, std::size_t row_length, const flo
 {
   std::ptrdiff_t done = 0;
 #ifdef XRAY_TRACKING_AVX2
-  if (kHasAvx2)
-  {
-    done = sampleSplineAvx2(pixels, row_length, x, y, count, map, values);
-  }
+  done = kHasAvx2 ? sampleSplineAvx2(pixels, row_length, x, y, count, map, values) : 0;
 #endif
   sampleSplinePlain(pixels, row_length, x, y, done, count, map, values);
 }

@@ -111,7 +111,8 @@ void checkImage(const cv::Mat& image)
 }
 
 int samplePoints(const cv::Mat& image, Sampling sampling, const IntensityModel& intensity, const Points& points,
-                 const Box& box, const PixelMap& map, Eigen::Ref<Eigen::ArrayXf> values, Eigen::Ref<Eigen::ArrayXf> outside)
+                 const Box& box, const PixelMap& map, Eigen::Ref<Eigen::ArrayXf> values,
+                 Eigen::Ref<Eigen::ArrayXf> outside)
 {
   int count = 0;
   if (image.type() == CV_8UC1)

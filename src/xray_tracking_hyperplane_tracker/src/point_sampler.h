@@ -26,8 +26,9 @@ enum class Sampling
 ///        clamped to 1 count or more); of the points' number
 /// @param outside out, 1 where the point is outside, else 0; valid if the returned number is not zero
 /// @return number of points outside
-int samplePoints(const cv::Mat& image, Sampling sampling, const IntensityModel& intensity, const Points& points, const Box& box,
-                 const PixelMap& map, Eigen::Ref<Eigen::ArrayXf> values, Eigen::Ref<Eigen::ArrayXf> outside);
+int samplePoints(const cv::Mat& image, Sampling sampling, const IntensityModel& intensity, const Points& points,
+                 const Box& box, const PixelMap& map, Eigen::Ref<Eigen::ArrayXf> values,
+                 Eigen::Ref<Eigen::ArrayXf> outside);
 
 /// What samplePoints() with SPLINE finds at the pixels of an image. @param image CV_32FC1
 cv::Mat splineFiltered(const cv::Mat& image);

@@ -198,13 +198,15 @@ int RegionTemplate::sample(const cv::Mat& image, const Warp& warp)
 {
   const IntensityModel intensity = coarse_.intensity(intensity_);
   const PixelMap map = pixelMap(warp);
-  const int outside = samplePoints(coarse_.pixels(), Sampling::BILINEAR, intensity, points_, box_, coarse_.toBins(map), sampled_, outside_);
+  const int outside = samplePoints(coarse_.pixels(), Sampling::BILINEAR, intensity, points_, box_, coarse_.toBins(map),
+                                   sampled_, outside_);
   if (outside == 0 || coarse_.isWhole())
   {
     return outside;
   }
   coarse_.update(image, cv::Rect(cv::Point(), size_));
-  return samplePoints(coarse_.pixels(), Sampling::BILINEAR, intensity, points_, box_, coarse_.toBins(map), sampled_, outside_);
+  return samplePoints(coarse_.pixels(), Sampling::BILINEAR, intensity, points_, box_, coarse_.toBins(map), sampled_,
+                      outside_);
 }
 
 void RegionTemplate::compare(const Level& level, int outside)
@@ -296,8 +298,8 @@ void RegionTemplate::fit(const cv::Mat& image, SearchResult& result)
       {
         assessed = true;
         // Exponential distributions, as chi-square's for two degrees of freedom is.
-        const double ratio = assessment.disagreement * (1.0 / kAgreeing - 1.0 / kDisagreeing) -
-                             std::log(kDisagreeing / kAgreeing);
+        const double ratio =
+            assessment.disagreement * (1.0 / kAgreeing - 1.0 / kDisagreeing) - std::log(kDisagreeing / kAgreeing);
         result.evidence = std::clamp(evidence_ + ratio, -kMostEvidence, kMostEvidence);
         // Usually it is as in the last image. If not, the other motion is hardly more than its error away.
         const RegionFit::Noise other = noiseFor(result.evidence);

@@ -63,6 +63,27 @@ cv::Mat noisy(const cv::Mat& exact, double noise, cv::RNG& random)
   return image;
 }
 
+/// Ten exposures without noise, over and over.
+class ExactExposures
+{
+public:
+  ExactExposures(MotionModel model, std::uint32_t seed, double range)
+  {
+    Random random(seed);
+    for (int i = 0; i < 10; ++i)
+    {
+      truths_.push_back(random.motion(model, range));
+      images_.push_back(expose(truths_.back()));
+    }
+  }
+  const Exposure& truth(int k) const { return truths_[static_cast<std::size_t>(k) % truths_.size()]; }
+  const cv::Mat& image(int k) const { return images_[static_cast<std::size_t>(k) % images_.size()]; }
+
+private:
+  std::vector<Exposure> truths_;
+  std::vector<cv::Mat> images_;
+};
+
 /// Largest error of the region's corners [px].
 double cornerError(const TrackResult& result, const Exposure& truth)
 {
@@ -158,25 +179,17 @@ TEST_P(EveryModel, knowsItsCovariance)
   options_.ranges = { 5.0 };
   options_.points = 100;
   options_.training_motions = 100;
-  Random random(5);
-  std::vector<Exposure> truths;
-  std::vector<cv::Mat> exact;
-  for (int i = 0; i < 10; ++i)
-  {
-    truths.push_back(random.motion(GetParam(), 2.0));
-    exact.push_back(expose(truths.back()));
-  }
+  const ExactExposures exposures(GetParam(), 5, 2.0);
   const cv::Mat reference = expose({});
   cv::RNG noises(17);
   HyperplaneTracker tracker(options_, counts());
   double normalised = 0.0;
   for (int i = 0; i < kTrials; ++i)
   {
-    const std::size_t k = static_cast<std::size_t>(i) % exact.size();
     tracker.train(noisy(reference, noise, noises), kRegion);
-    const TrackResult& result = tracker.track(noisy(exact[k], noise, noises));
+    const TrackResult& result = tracker.track(noisy(exposures.image(i), noise, noises));
     ASSERT_EQ(result.status, TrackResult::Status::TRACKED);
-    const Eigen::Vector2d error = result.displacement - truths[k].displacement;
+    const Eigen::Vector2d error = result.displacement - exposures.truth(i).displacement;
     normalised += error.dot(result.covariance.topLeftCorner<2, 2>().inverse() * error);
   }
   // Chi-square of two degrees of freedom has the variance 4.
@@ -191,14 +204,7 @@ TEST_P(EveryModel, errsByHardlyMoreThanTheNoiseAsks)
   options_.ranges = { 10.0, 5.0 };
   options_.points = 100;
   options_.training_motions = 100;
-  Random random(15);
-  std::vector<Exposure> truths;
-  std::vector<cv::Mat> exact;
-  for (int i = 0; i < 10; ++i)
-  {
-    truths.push_back(random.motion(GetParam(), 4.0));
-    exact.push_back(expose(truths.back()));
-  }
+  const ExactExposures exposures(GetParam(), 15, 4.0);
   const cv::Mat reference = expose({});
   cv::RNG noises(29);
   HyperplaneTracker tracker(options_, counts());
@@ -209,10 +215,9 @@ TEST_P(EveryModel, errsByHardlyMoreThanTheNoiseAsks)
     tracker.train(noisy(reference, noise, noises), kRegion);
     for (int k = 0; k < kExposures; ++k)
     {
-      const std::size_t e = static_cast<std::size_t>(k) % exact.size();
-      const TrackResult& result = tracker.track(noisy(exact[e], noise, noises));
+      const TrackResult& result = tracker.track(noisy(exposures.image(k), noise, noises));
       ASSERT_TRUE(result.found());
-      squares += (result.displacement - truths[e].displacement).squaredNorm();
+      squares += (result.displacement - exposures.truth(k).displacement).squaredNorm();
     }
   }
   const double share =
@@ -225,14 +230,7 @@ TEST_P(EveryModel, errsByHardlyMoreThanTheNoiseAsks)
 
 TEST_P(EveryModel, doesNotDrift)
 {
-  Random random(9);
-  std::vector<Exposure> truths;
-  std::vector<cv::Mat> exact;
-  for (int i = 0; i < 10; ++i)
-  {
-    truths.push_back(random.motion(GetParam(), 6.0));
-    exact.push_back(expose(truths.back()));
-  }
+  const ExactExposures exposures(GetParam(), 9, 6.0);
   for (const bool whole_region : { true, false })
   {
     options_.whole_region = whole_region;
@@ -242,8 +240,7 @@ TEST_P(EveryModel, doesNotDrift)
     std::vector<Eigen::Vector2d> sums(2, Eigen::Vector2d::Zero());
     for (int i = 0; i < 1000; ++i)
     {
-      const std::size_t k = static_cast<std::size_t>(i) % exact.size();
-      const cv::Mat image = noisy(exact[k], 0.03, noises);
+      const cv::Mat image = noisy(exposures.image(i), 0.03, noises);
       if (i % 50 == 25)
       {
         ASSERT_TRUE(tracker.retrain(image));
@@ -254,7 +251,7 @@ TEST_P(EveryModel, doesNotDrift)
       }
       if (i < 20 || i >= 980)
       {
-        sums[i < 20 ? 0 : 1] += (tracker.result().displacement - truths[k].displacement) / 20.0;
+        sums[i < 20 ? 0 : 1] += (tracker.result().displacement - exposures.truth(i).displacement) / 20.0;
       }
     }
     // The change of the error, over the same motions, from before the first re-training to after the last one.
