@@ -384,6 +384,13 @@ TEST(HyperplaneTrackerOptions, namesTheOptionThatIsWrong)
     { "ranges is nan", [](Options& o) { o.ranges = { std::nan("") }; } },
     { "ranges is 2e+09", [](Options& o) { o.ranges = { 2e9 }; } },
     { "training_motions is 0", [](Options& o) { o.training_motions = 0; } },
+    { "points (with training_motions 800) is 20000", [](Options& o) { o.points = 20000; } },
+    { "points (with training_motions 100000) is 2500",
+      [](Options& o)
+      {
+        o.points = 2500;
+        o.training_motions = 100000;
+      } },
     { "bin is 0", [](Options& o) { o.bin = 0; } },
     { "rotation_range is 90", [](Options& o) { o.rotation_range = 90.0; } },
     { "scale_range is 1", [](Options& o) { o.scale_range = 1.0; } },
@@ -401,6 +408,10 @@ TEST(HyperplaneTrackerOptions, namesTheOptionThatIsWrong)
     { "max_predicted_sd is inf", [](Options& o) { o.max_predicted_sd = INFINITY; } },
   };
   EXPECT_NO_THROW(Options().validate());
+  Options large;
+  large.points = 2000;
+  large.training_motions = 100000;
+  EXPECT_NO_THROW(large.validate());
   for (const auto& [expected, spoil] : faults)
   {
     Options options;
