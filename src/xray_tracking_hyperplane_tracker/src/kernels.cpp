@@ -154,32 +154,53 @@ XRAY_TRACKING_AVX2 inline SplineVectors splineVectors(__m256 t)
   return v;
 }
 
+/// Four pixels of one row for each of two points.
+XRAY_TRACKING_AVX2 inline __m256 pixelsOfTwo(const std::uint16_t* low, const std::uint16_t* high)
+{
+  const __m128i first = _mm_loadl_epi64(reinterpret_cast<const __m128i*>(low));
+  const __m128i both = _mm_unpacklo_epi64(first, _mm_loadl_epi64(reinterpret_cast<const __m128i*>(high)));
+  return _mm256_cvtepi32_ps(_mm256_cvtepu16_epi32(both));
+}
+
+/// What the points k and k + 4 see: four columns each, summed along y.
+template <int k>
+XRAY_TRACKING_AVX2 inline __m256 columnsOfTwo(const std::uint16_t* pixels, std::size_t row_length,
+                                              const std::int32_t* places, const SplineVectors& along_y)
+{
+  const std::uint16_t* low = pixels + places[k];
+  const std::uint16_t* high = pixels + places[k + 4];
+  __m256 sum = _mm256_setzero_ps();
+  for (int r = 0; r < 4; ++r, low += row_length, high += row_length)
+  {
+    sum = _mm256_fmadd_ps(_mm256_permute_ps(along_y.weights[r], k * 0x55), pixelsOfTwo(low, high), sum);
+  }
+  return sum;
+}
+
 XRAY_TRACKING_AVX2 std::ptrdiff_t sampleSplineAvx2(const std::uint16_t* pixels, std::size_t row_length, const float* x,
                                                    const float* y, std::ptrdiff_t count, const PixelMap& m,
                                                    float* values)
 {
   const VectorMap map(m, row_length);
-  const __m256i low = _mm256_set1_epi32(0xffff);
+  const std::uint16_t* first = pixels - row_length - 1;
   std::ptrdiff_t i = 0;
   for (; i + 8 <= count; i += 8)
   {
     const VectorPlaces at = map.places(x + i, y + i);
     const SplineVectors along_x = splineVectors(at.u);
     const SplineVectors along_y = splineVectors(at.v);
-    const std::uint16_t* first = pixels - row_length - 1;
-    __m256 sum = _mm256_setzero_ps();
-    for (int r = 0; r < 4; ++r, first += row_length)
-    {
-      // A load of 32 bit has a pixel and its right neighbour.
-      const __m256i a = _mm256_i32gather_epi32(reinterpret_cast<const int*>(first), at.pixel, 2);
-      const __m256i b = _mm256_i32gather_epi32(reinterpret_cast<const int*>(first + 2), at.pixel, 2);
-      __m256 line = _mm256_mul_ps(along_x.weights[0], _mm256_cvtepi32_ps(_mm256_and_si256(a, low)));
-      line = _mm256_fmadd_ps(along_x.weights[1], _mm256_cvtepi32_ps(_mm256_srli_epi32(a, 16)), line);
-      line = _mm256_fmadd_ps(along_x.weights[2], _mm256_cvtepi32_ps(_mm256_and_si256(b, low)), line);
-      line = _mm256_fmadd_ps(along_x.weights[3], _mm256_cvtepi32_ps(_mm256_srli_epi32(b, 16)), line);
-      sum = _mm256_fmadd_ps(along_y.weights[r], line, sum);
-    }
-    _mm256_storeu_ps(values + i, sum);
+    alignas(32) std::int32_t places[8];
+    _mm256_store_si256(reinterpret_cast<__m256i*>(places), at.pixel);
+    // From weights of eight points, one vector a column, to those of four columns, one vector two points.
+    const __m256 a = _mm256_unpacklo_ps(along_x.weights[0], along_x.weights[1]);
+    const __m256 b = _mm256_unpackhi_ps(along_x.weights[0], along_x.weights[1]);
+    const __m256 c = _mm256_unpacklo_ps(along_x.weights[2], along_x.weights[3]);
+    const __m256 d = _mm256_unpackhi_ps(along_x.weights[2], along_x.weights[3]);
+    const __m256 s0 = _mm256_mul_ps(_mm256_shuffle_ps(a, c, 0x44), columnsOfTwo<0>(first, row_length, places, along_y));
+    const __m256 s1 = _mm256_mul_ps(_mm256_shuffle_ps(a, c, 0xee), columnsOfTwo<1>(first, row_length, places, along_y));
+    const __m256 s2 = _mm256_mul_ps(_mm256_shuffle_ps(b, d, 0x44), columnsOfTwo<2>(first, row_length, places, along_y));
+    const __m256 s3 = _mm256_mul_ps(_mm256_shuffle_ps(b, d, 0xee), columnsOfTwo<3>(first, row_length, places, along_y));
+    _mm256_storeu_ps(values + i, _mm256_hadd_ps(_mm256_hadd_ps(s0, s1), _mm256_hadd_ps(s2, s3)));
   }
   return i;
 }
