@@ -20,6 +20,9 @@ constexpr double kQualityHysteresis = 0.05;
 /// which looks alike, is farther away.
 constexpr double kNear = 20.0;
 
+/// Of the memory that a training may take [bytes].
+constexpr double kMostMemory = 1e9;
+
 /// Mean logarithm of what is left of the region's variance, where all of it is left in what did not count: the negative
 /// log likelihood, but for constants, of noise where it counted and of anything elsewhere.
 double misfit(const SearchResult& found)
@@ -42,6 +45,10 @@ void HyperplaneTrackerOptions::validate() const
   }
   requireInRange("bin", bin, 1, 16);
   requireInRange("training_motions", training_motions, 50, 100000);
+  // The differences of all motions, and four matrices of the points' covariances.
+  const double memory = sizeof(float) * static_cast<double>(points) * (training_motions + 4.0 * points);
+  requireOption(memory <= kMostMemory, "points (with training_motions " + std::to_string(training_motions) + ")",
+                points, "so few that a training takes at most 1e9 bytes, 4 points (training_motions + 4 points)");
   requireOption(rotation_range > 0.0 && rotation_range <= 45.0, "rotation_range", rotation_range,
                 "a number > 0, up to 45 [deg]");
   requireOption(scale_range > 0.0 && scale_range <= 0.5, "scale_range", scale_range, "a number > 0, up to 0.5");
@@ -171,6 +178,7 @@ void HyperplaneTracker::search(const cv::Mat& image, const Warp& start, bool onl
   if (best)
   {
     state_->warp = best->warp;
+    t.believe(*best);
   }
   result_.iterations = iterations;
 }

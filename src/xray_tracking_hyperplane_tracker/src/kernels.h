@@ -18,6 +18,16 @@ struct PixelMap
 void sampleBilinear(const std::uint16_t* pixels, std::size_t row_length, const float* x, const float* y,
                     std::ptrdiff_t count, const PixelMap& map, float* values);
 
+/// Samples by the cubic B-spline's kernel: values of the image blurred by it, by as much wherever the points lie
+/// between the pixels. (Bilinear samples are blurred by what depends on that, which moves what is measured by them.)
+/// Points have to be a pixel farther from the border than for bilinear samples.
+void sampleSpline(const std::uint16_t* pixels, std::size_t row_length, const float* x, const float* y,
+                  std::ptrdiff_t count, const PixelMap& map, float* values);
+
+/// Weights of the pixels from one left of the place to two right of it. @param part of a pixel from the second one,
+/// 0..1
+void splineWeights(float part, float* weights);
+
 /// values = -log(max(values - offset, 1)), relative error below 1e-6.
 void attenuate(float* values, std::ptrdiff_t count, float offset);
 

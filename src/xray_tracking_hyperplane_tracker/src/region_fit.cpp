@@ -36,7 +36,7 @@ void RegionFit::sumTiles()
 const RegionFit::Motions& RegionFit::solve(const cv::Mat& image, const IntensityModel& intensity, const PixelMap& map,
                                            double& inside)
 {
-  const int outside = samplePoints(image, intensity, points_, box_, map, sampled_, outside_);
+  const int outside = samplePoints(image, Sampling::SPLINE, intensity, points_, box_, map, sampled_, outside_);
   inside = 1.0 - static_cast<double>(outside) / static_cast<double>(points_.rows());
   sampled_ -= values_;
   sumTiles();
@@ -200,11 +200,12 @@ ParameterCovariance RegionFit::covariance(Noise noise, double missing)
   // So many tiles that tell as much as these would tell if all told the same.
   const auto told = information_[noise] * weights_.cast<double>();
   const double tiles = told.sum() * told.sum() / std::max(told.square().sum(), 1e-30);
-  // What four of them tell of the motion has gone into it, and is not left in their residuals. Their sums are as good
-  // as independent ones of 1 / 2.25 of the tiles' number; of so few, the inverse of the displacement's covariance is
-  // too large.
+  // What four of them (and one more for each parameter beside the translation, as measured) tell of the motion has gone
+  // into it, and is not left in their residuals. Their sums are as good as independent ones of 1 / 2.25 of the tiles'
+  // number; of so few, the inverse of the displacement's covariance is too large.
   const double independent = tiles / 2.25;
-  const double freedom = tiles / std::max(1.0, tiles - 4.0) * independent / std::max(1.0, independent - 3.0);
+  const double freedom =
+      tiles / std::max(1.0, tiles - 2.0 - p) * independent / std::max(1.0, independent - 3.0) / noise_seen_;
   return freedom * (inverse_[noise] * scatter * inverse_[noise].transpose()).topLeftCorner(p, p);
 }
 

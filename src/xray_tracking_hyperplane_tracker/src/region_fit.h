@@ -19,12 +19,12 @@ constexpr double kMaxFitPixels = 2e4;  ///< of larger regions every second, thir
 /// the template.
 ///
 /// The differences d = f(warp(x)) - f0(x) are modelled as J m + N n + noise: J the template's derivatives by the motion
-/// parameters, N the nuisance patterns (shading and the template itself), f0 and J from the template without its noise.
-/// With instruments Z = P W J, P the projection that takes N out, m and n solve [Z N]^T (d - J m - N n) = 0. There are
-/// two solutions: with W = 1 for white noise alone, the best where nothing moves on its own, and with W the inverse of
-/// the covariance of white noise and an overlay with the spectrum 1/f^3 (a filter, by cosine transforms), generalised
-/// least squares, which such an overlay hardly moves. Where both agree within their errors, there is none (Hausman
-/// 1978).
+/// parameters, N the nuisance patterns (shading and the template itself), f0 and J from the template without its noise
+/// and blurred as f is by its sampling (sampleSpline()). With instruments Z = P W J', P the projection that takes N
+/// out, J' as J but not blurred, because d's noise is already, m and n solve [Z N]^T (d - J m - N n) = 0. There are two
+/// solutions: with W = 1 for white noise alone, the best where nothing moves on its own, and with W the inverse of the
+/// covariance of white noise and an overlay with the spectrum 1/f^3 (a filter, by cosine transforms), generalised least
+/// squares, which such an overlay hardly moves. Where both agree within their errors, there is none (Hausman 1978).
 ///
 /// All sums are kept by tiles of the region. A tile whose residual is larger than the median of all, more than noise
 /// and a small error of the motion explain, loses weight, and m is found anew from the tiles' sums, without going
@@ -77,8 +77,9 @@ private:
   };
 
   void layTiles(const cv::Rect& region);
-  void store(const std::array<Eigen::MatrixXf, 2>& instruments, const Eigen::MatrixXf& nuisance,
-             const Eigen::VectorXf& template_noise);
+  /// @param slopes J without the patterns of N
+  void store(const Eigen::MatrixXf& slopes, const std::array<Eigen::MatrixXf, 2>& instruments,
+             const Eigen::MatrixXf& nuisance, const Eigen::VectorXf& template_noise);
   void sumTiles();
   void doubtCoveredTiles();
   void reweight();
@@ -96,7 +97,8 @@ private:
   int unknowns_;  ///< parameters and nuisance patterns
   int step_;      ///< distance of sampled pixels [px]
   cv::Size grid_;
-  double floor_;  ///< least variance of a residual
+  double floor_;             ///< least variance of a residual
+  double noise_seen_ = 1.0;  ///< share of the white noise's scatter that squares of two by two tiles see
 
   std::vector<Tile> tiles_;  ///< row by row
   Eigen::Index tile_columns_ = 0;
@@ -105,7 +107,7 @@ private:
   Eigen::ArrayXf values_;
   float contrast_ = 0.f;
   Eigen::VectorXf columns_;  ///< tile after tile: Z of both kinds, N, column after column
-  /// Tile after tile, for either kind: [Z N]^T [Z N], the right Z for white noise; J differs from it by patterns of N.
+  /// Tile after tile, for either kind: [Z N]^T [J N], J without the patterns of N.
   std::array<Eigen::MatrixXf, 2> normal_;
   std::array<Eigen::MatrixXd, 2> all_normal_;   ///< sums of normal_ over all tiles
   std::array<Eigen::MatrixXd, 2> all_squares_;  ///< [Z N]^T [Z N], both the same Z, over all tiles

@@ -17,8 +17,41 @@ constexpr int kLane = 8;          ///< floats in a vector
 constexpr double kTiles = 100.0;  ///< about; enough for their scatter to be an estimate
 /// Error of the motion [px] whose residual does not make an outlier.
 constexpr float kMotionError = 0.15f;
-/// A residual's variance in units of the noise's is hardly less: between pixels, bilinear sampling leaves a quarter.
+/// A residual's variance in units of the noise's is hardly less: the spline's kernel leaves 0.21 between four pixels.
 constexpr double kLeastNoise = 0.2;
+/// Mean distance along an axis of the pixels whose noise the spline's kernel makes alike [px].
+constexpr double kNoiseReach = 0.57;
+/// Of an image by x and y.
+class Gradients
+{
+public:
+  explicit Gradients(const cv::Mat& image)
+  {
+    cv::Sobel(image, x_, CV_32F, 1, 0, 1, 0.5);
+    cv::Sobel(image, y_, CV_32F, 0, 1, 1, 0.5);
+  }
+  float along(const Eigen::Vector2d& motion, const cv::Point& place) const
+  {
+    return static_cast<float>(motion.x()) * x_.at<float>(place) + static_cast<float>(motion.y()) * y_.at<float>(place);
+  }
+
+private:
+  cv::Mat x_, y_;
+};
+
+/// What solve() finds at the pixels of an image with these values: it samples counts before they become attenuation.
+cv::Mat asSampled(const cv::Mat& values, const IntensityModel& intensity)
+{
+  if (intensity.kind != IntensityModel::Kind::COUNTS)
+  {
+    return splineFiltered(values);
+  }
+  cv::Mat counts;
+  cv::exp(-values, counts);
+  counts = splineFiltered(counts);
+  cv::log(counts, counts);
+  return -counts;
+}
 }  // namespace
 
 void RegionFit::layTiles(const cv::Rect& region)
@@ -27,6 +60,8 @@ void RegionFit::layTiles(const cv::Rect& region)
   const int columns = std::max(1, static_cast<int>(std::lround(grid_.width / side)));
   const int rows = std::max(1, static_cast<int>(std::lround(grid_.height / side)));
   tile_columns_ = columns;
+  // Of pairs across the border of two tiles, every second one.
+  noise_seen_ = (1.0 - 0.5 * kNoiseReach * columns / region.width) * (1.0 - 0.5 * kNoiseReach * rows / region.height);
   std::vector<Eigen::Vector2f> places;
   for (int r = 0; r < rows; ++r)
   {
@@ -78,19 +113,21 @@ RegionFit::RegionFit(const cv::Mat& image, const IntensityModel& intensity, cons
       cv::Rect(region.x - kMargin, region.y - kMargin, region.width + 2 * kMargin, region.height + 2 * kMargin) &
       cv::Rect(cv::Point(), image.size());
   const cv::Mat raw = attenuationImage(image(seen), intensity);
-  const cv::Mat smooth = withoutNoise(raw, model.noise);
-  cv::Mat gradient_x, gradient_y;
-  cv::Sobel(smooth, gradient_x, CV_32F, 1, 0, 1, 0.5);
-  cv::Sobel(smooth, gradient_y, CV_32F, 0, 1, 1, 0.5);
+  const cv::Mat without_noise = withoutNoise(raw, model.noise);
+  const cv::Mat smooth = asSampled(without_noise, intensity);
+  const cv::Mat noise_image = splineFiltered(raw - without_noise);
+  // What the motion makes of f, and the instruments, which are not blurred: the sums blur the noise once already.
   const Eigen::Vector2d centre(region.x + 0.5 * (region.width - 1), region.y + 0.5 * (region.height - 1));
   const Whitening whitening(grid_, step_, model);
+  const Gradients blurred(smooth), sharp(without_noise);
+  Eigen::MatrixXf slopes(n, parameters);
   std::array<Eigen::MatrixXf, 2> instruments;
   instruments.fill(Eigen::MatrixXf(n, parameters));
   const auto on_grid = [&](Eigen::Index i)
   { return cv::Point(static_cast<int>(points_(i, 0)), static_cast<int>(points_(i, 1))); };
   for (int k = 0; k < parameters; ++k)
   {
-    cv::Mat derivative(grid_, CV_32F);
+    cv::Mat slope(grid_, CV_32F), instrument(grid_, CV_32F);
     for (int y = 0; y < grid_.height; ++y)
     {
       for (int x = 0; x < grid_.width; ++x)
@@ -99,16 +136,17 @@ RegionFit::RegionFit(const cv::Mat& image, const IntensityModel& intensity, cons
         const Eigen::Vector2d motion =
             k < 2 ? Eigen::Vector2d::Unit(k)
                   : (generator(k) * (Eigen::Vector2d(place.x, place.y) - centre) / radius).eval();
-        derivative.at<float>(y, x) = static_cast<float>(motion.x()) * gradient_x.at<float>(place - seen.tl()) +
-                                     static_cast<float>(motion.y()) * gradient_y.at<float>(place - seen.tl());
+        slope.at<float>(y, x) = blurred.along(motion, place - seen.tl());
+        instrument.at<float>(y, x) = sharp.along(motion, place - seen.tl());
       }
     }
-    const cv::Mat instrument = whitening(derivative);
+    const cv::Mat whitened = whitening(instrument);
     for (Eigen::Index i = 0; i < n; ++i)
     {
       const cv::Point place = (on_grid(i) - region.tl()) / step_;
-      instruments[WHITE](i, k) = derivative.at<float>(place);
-      instruments[OVERLAY](i, k) = instrument.at<float>(place);
+      slopes(i, k) = slope.at<float>(place);
+      instruments[WHITE](i, k) = instrument.at<float>(place);
+      instruments[OVERLAY](i, k) = whitened.at<float>(place);
     }
   }
 
@@ -121,7 +159,7 @@ RegionFit::RegionFit(const cv::Mat& image, const IntensityModel& intensity, cons
   for (Eigen::Index i = 0; i < n; ++i)
   {
     values_[i] = smooth.at<float>(on_grid(i) - seen.tl());
-    noise[i] = raw.at<float>(on_grid(i) - seen.tl()) - values_[i];
+    noise[i] = noise_image.at<float>(on_grid(i) - seen.tl());
     patterns(i, kShadings - 1) = static_cast<double>(values_[i]);
   }
   const auto clear_padding = [this](auto& columns)
@@ -134,10 +172,10 @@ RegionFit::RegionFit(const cv::Mat& image, const IntensityModel& intensity, cons
   clear_padding(patterns);
   clear_padding(noise);
   const Nuisance found(patterns);
-  for (Eigen::MatrixXf& columns : instruments)
+  for (Eigen::MatrixXf* columns : { &slopes, &instruments[WHITE], &instruments[OVERLAY] })
   {
-    clear_padding(columns);
-    found.removeFrom(columns);
+    clear_padding(*columns);
+    found.removeFrom(*columns);
   }
   Eigen::MatrixXf nuisance = found.basis();
   contrast_ = nuisance.rightCols<1>().dot(patterns.rightCols<1>().cast<float>());
@@ -146,7 +184,7 @@ RegionFit::RegionFit(const cv::Mat& image, const IntensityModel& intensity, cons
     contrast_ = -contrast_;
     nuisance.rightCols<1>() *= -1.f;
   }
-  store(instruments, nuisance, noise);
+  store(slopes, instruments, nuisance, noise);
 
   const Eigen::Index tiles = static_cast<Eigen::Index>(tiles_.size());
   sums_.resize(2 * parameters + kShadings + 1, tiles);
@@ -157,8 +195,8 @@ RegionFit::RegionFit(const cv::Mat& image, const IntensityModel& intensity, cons
   scores_.resize(unknowns_, tiles);
 }
 
-void RegionFit::store(const std::array<Eigen::MatrixXf, 2>& instruments, const Eigen::MatrixXf& nuisance,
-                      const Eigen::VectorXf& template_noise)
+void RegionFit::store(const Eigen::MatrixXf& slopes, const std::array<Eigen::MatrixXf, 2>& instruments,
+                      const Eigen::MatrixXf& nuisance, const Eigen::VectorXf& template_noise)
 {
   const Eigen::Index tiles = static_cast<Eigen::Index>(tiles_.size());
   const int p = parameters_;
@@ -181,7 +219,7 @@ void RegionFit::store(const std::array<Eigen::MatrixXf, 2>& instruments, const E
     stored << rows(instruments[WHITE]), rows(instruments[OVERLAY]), rows(nuisance);
     column += stored.size();
     Eigen::MatrixXf right(tile.padded, q), left(tile.padded, q);
-    right << rows(instruments[WHITE]), rows(nuisance);
+    right << rows(slopes), rows(nuisance);
     for (const Noise noise : { WHITE, OVERLAY })
     {
       left << rows(instruments[noise]), rows(nuisance);

@@ -25,9 +25,13 @@ constexpr double kOverlayMotion = 5.5;
 constexpr int kMaxFits = 24;
 constexpr float kFitRange = 3.f;
 constexpr float kFitConvergence = 0.02f;
-/// Disagreement (RegionFit) of an image without an overlay: the median and 95 % of chi-square for two degrees of freedom.
-constexpr double kWhiteFrom = 0.5;
-constexpr double kWhiteUntil = 6.0;
+/// Mean disagreement (RegionFit) of images without an overlay that moves on its own, at most, and of those with one.
+constexpr double kAgreeing = 2.0;
+constexpr double kDisagreeing = 8.0;
+/// Of an overlay that moves on its own, before the first image: 1 to 3.
+const double kFirstEvidence = -std::log(3.0);
+/// Largest evidence for either: beyond 20 to 1 what comes next could not change it soon enough.
+const double kMostEvidence = std::log(20.0);
 /// Bins that a region has at least in both directions.
 constexpr int kMinBins = 16;
 /// Differences in units of the template's standard deviation: up to the first they count in full, from the second on
@@ -47,7 +51,8 @@ RegionTemplate::RegionTemplate(const cv::Mat& image, const cv::Rect& region, con
     centre_(region.x + 0.5 * (region.width - 1), region.y + 0.5 * (region.height - 1)),
     radius_(std::sqrt((region.width * region.width + region.height * region.height) / 12.0)),
     parameters_(static_cast<int>(options.model)),
-    coarse_(image, std::max(1, std::min(options.bin, std::min(region.width, region.height) / kMinBins)))
+    coarse_(image, std::max(1, std::min(options.bin, std::min(region.width, region.height) / kMinBins))),
+    evidence_(kFirstEvidence)
 {
   Uniform uniform(options.seed);
   placePoints(uniform);
@@ -193,13 +198,15 @@ int RegionTemplate::sample(const cv::Mat& image, const Warp& warp)
 {
   const IntensityModel intensity = coarse_.intensity(intensity_);
   const PixelMap map = pixelMap(warp);
-  const int outside = samplePoints(coarse_.pixels(), intensity, points_, box_, coarse_.toBins(map), sampled_, outside_);
+  const int outside = samplePoints(coarse_.pixels(), Sampling::BILINEAR, intensity, points_, box_, coarse_.toBins(map),
+                                   sampled_, outside_);
   if (outside == 0 || coarse_.isWhole())
   {
     return outside;
   }
   coarse_.update(image, cv::Rect(cv::Point(), size_));
-  return samplePoints(coarse_.pixels(), intensity, points_, box_, coarse_.toBins(map), sampled_, outside_);
+  return samplePoints(coarse_.pixels(), Sampling::BILINEAR, intensity, points_, box_, coarse_.toBins(map), sampled_,
+                      outside_);
 }
 
 void RegionTemplate::compare(const Level& level, int outside)
@@ -266,7 +273,9 @@ bool RegionTemplate::descend(const cv::Mat& image, const Level& level, float tol
 void RegionTemplate::fit(const cv::Mat& image, SearchResult& result)
 {
   BroydenSteps steps(parameters_, kFitRange);
-  bool chosen = false;
+  const auto noiseFor = [](double evidence) { return evidence > 0.0 ? RegionFit::OVERLAY : RegionFit::WHITE; };
+  RegionFit::Noise noise = noiseFor(evidence_);
+  bool assessed = false;
   result.status = TrackResult::Status::DIVERGED;
   for (int k = 0; k < kMaxFits; ++k)
   {
@@ -278,25 +287,31 @@ void RegionTemplate::fit(const cv::Mat& image, SearchResult& result)
       result.status = TrackResult::Status::OUT_OF_IMAGE;
       return;
     }
-    Parameters step = steps.next(motions[noise_]);
-    const float length = motions[noise_].norm();
+    Parameters step = steps.next(motions[noise]);
+    const float length = motions[noise].norm();
     const bool is_last = k + 1 == kMaxFits;
     bool settled = std::max(step.norm(), length) < kFitConvergence;
     if (settled || is_last)
     {
       const RegionFit::Assessment& assessment = fit_->assess();
-      // Usually it is as in the last image. If not, the other motion is hardly more than its error away.
-      const double most = noise_ == RegionFit::WHITE ? kWhiteUntil : kWhiteFrom;
-      const RegionFit::Noise noise = assessment.disagreement < most ? RegionFit::WHITE : RegionFit::OVERLAY;
-      if (noise != noise_ && !chosen && !is_last)
+      if (!assessed)
       {
-        noise_ = noise;
-        chosen = true;
-        settled = false;
-        steps = BroydenSteps(parameters_, kFitRange);
-        step = steps.next(motions[noise_]);
+        assessed = true;
+        // Exponential distributions, as chi-square's for two degrees of freedom is.
+        const double ratio =
+            assessment.disagreement * (1.0 / kAgreeing - 1.0 / kDisagreeing) - std::log(kDisagreeing / kAgreeing);
+        result.evidence = std::clamp(evidence_ + ratio, -kMostEvidence, kMostEvidence);
+        // Usually it is as in the last image. If not, the other motion is hardly more than its error away.
+        const RegionFit::Noise other = noiseFor(result.evidence);
+        if (other != noise && !is_last)
+        {
+          noise = other;
+          settled = false;
+          steps = BroydenSteps(parameters_, kFitRange);
+          step = steps.next(motions[noise]);
+        }
       }
-      result.covariance = assessment.covariances[noise_];
+      result.covariance = assessment.covariances[noise];
       result.correlation = assessment.correlation;
       result.share = assessment.share;
     }
@@ -336,6 +351,7 @@ SearchResult RegionTemplate::search(const cv::Mat& image, const Warp& start, std
 {
   SearchResult result;
   result.warp = start;
+  result.evidence = evidence_;
   result.covariance.setZero(parameters_, parameters_);
   bool converged = false;
   if (first_level < levels_.size())

@@ -37,6 +37,9 @@ struct SearchResult
   ParameterCovariance covariance;  ///< of the motion's parameters
   double correlation = 0.0;
   double share = 1.0;  ///< of the region that counted
+  /// That something over the target moves on its own, against that nothing does: the logarithm of the likelihoods'
+  /// ratio, of this image and those before.
+  double evidence = 0.0;
   int iterations = 0;
 };
 
@@ -55,6 +58,9 @@ public:
   /// @param first_level of the predictors; past the last one, which needs `whole_region`, only the last steps are done.
   /// No allocation.
   SearchResult search(const cv::Mat& image, const Warp& start, std::size_t first_level);
+
+  /// What a search has found is the region: the next ones go on from its evidence.
+  void believe(const SearchResult& found) { evidence_ = found.evidence; }
 
   const cv::Size& imageSize() const { return size_; }
   int imageType() const { return type_; }
@@ -110,9 +116,9 @@ private:
   Box box_;
   DifferenceModel model_;
   std::vector<Level> levels_;
-  Texture texture_;                            ///< of the finest level
-  std::optional<RegionFit> fit_;               ///< the last steps
-  RegionFit::Noise noise_ = RegionFit::WHITE;  ///< in the last image
+  Texture texture_;               ///< of the finest level
+  std::optional<RegionFit> fit_;  ///< the last steps
+  double evidence_;               ///< SearchResult::evidence of the last image
 
   // Scratch memory of search().
   Eigen::ArrayXf sampled_;

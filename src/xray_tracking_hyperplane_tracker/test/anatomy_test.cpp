@@ -114,9 +114,10 @@ TEST(HyperplaneTrackerOnAnatomy, followsTheVertebraInTheNeckPhantom)
         trackingErrors(images[d], places[d], setup, geometry, projectedTargetRegion(setup, geometry));
     RecordProperty(geometry.name() + "_median_mm", std::to_string(quantile(errors, 0.5)));
     RecordProperty(geometry.name() + "_max_mm", std::to_string(quantile(errors, 1.0)));
-    // What leaves room for a 3D error of 0.15 mm in the median and 0.4 mm at most.
-    EXPECT_LT(quantile(errors, 0.5), 0.1) << geometry.name();
-    EXPECT_LT(quantile(errors, 1.0), 0.25) << geometry.name();
+    // What leaves room for a 3D error of 0.1 mm in the median and 0.2 mm at most; without regard for the rest of the
+    // body the errors are 0.054 and 0.11 mm.
+    EXPECT_LT(quantile(errors, 0.5), 0.05) << geometry.name();
+    EXPECT_LT(quantile(errors, 1.0), 0.1) << geometry.name();
   }
 }
 

@@ -1,5 +1,6 @@
 #include "kernels.h"
 
+#include <algorithm>
 #include <cmath>
 #include <random>
 #include <vector>
@@ -7,6 +8,7 @@
 #include <gtest/gtest.h>
 #include <Eigen/Core>
 
+#include "point_sampler.h"
 #include "warp.h"
 
 namespace xray_tracking
@@ -50,6 +52,77 @@ TEST(Kernels, sampleBetweenPixels)
     }
     // Places are rounded to 2e-6 px, grey values span 65535 a pixel.
     EXPECT_NEAR(values[i], expected, 0.5);
+  }
+}
+
+/// By truncated powers.
+double cubicSpline(double t)
+{
+  const auto cube = [](double v) { return v > 0.0 ? v * v * v : 0.0; };
+  return (cube(t + 2) - 4 * cube(t + 1) + 6 * cube(t) - 4 * cube(t - 1) + cube(t - 2)) / 6.0;
+}
+
+/// Of all pixels; those beyond the border are as the nearest ones.
+double splineSample(const cv::Mat& pixels, double column, double row)
+{
+  double sum = 0.0;
+  for (int r = -2; r < pixels.rows + 2; ++r)
+  {
+    for (int c = -2; c < pixels.cols + 2; ++c)
+    {
+      const int y = std::clamp(r, 0, pixels.rows - 1), x = std::clamp(c, 0, pixels.cols - 1);
+      sum += pixels.at<std::uint16_t>(y, x) * cubicSpline(column - c) * cubicSpline(row - r);
+    }
+  }
+  return sum;
+}
+
+TEST(Kernels, splineSamplesEverywhere)
+{
+  cv::Mat pixels(kHeight, kWidth, CV_16UC1);
+  cv::RNG(5).fill(pixels, cv::RNG::UNIFORM, 0, 256);
+  cv::Mat bytes;
+  pixels.convertTo(bytes, CV_8U);
+  std::mt19937 random(4);
+  Points points(kCount, 2);
+  Eigen::ArrayXf values(kCount), outside(kCount);
+  const PixelMap map{ 0.98f, -0.05f, 1.7f, 0.06f, 1.01f, -0.4f };
+  IntensityModel attenuation;
+  attenuation.kind = IntensityModel::Kind::ATTENUATION;
+  // Far enough inside for vectors, and over the border.
+  for (const float margin : { 5.f, 0.f })
+  {
+    std::uniform_real_distribution<float> along_x(margin, kWidth - 1 - margin), along_y(margin, kHeight - 1 - margin);
+    for (int i = 0; i < kCount; ++i)
+    {
+      points.row(i) << along_x(random), along_y(random);
+    }
+    const Box box(points.colwise().minCoeff().transpose(), points.colwise().maxCoeff().transpose());
+    for (const cv::Mat& image : { pixels, bytes })
+    {
+      const int count = samplePoints(image, Sampling::SPLINE, attenuation, points, box, map, values, outside);
+      EXPECT_EQ(count > 0, margin == 0.f);
+      for (int i = 0; i < kCount; ++i)
+      {
+        const double column = 0.98 * points(i, 0) - 0.05 * points(i, 1) + 1.7;
+        const double row = 0.06 * points(i, 0) + 1.01 * points(i, 1) - 0.4;
+        const double expected =
+            splineSample(pixels, std::clamp(column, 0.0, kWidth - 1.0), std::clamp(row, 0.0, kHeight - 1.0));
+        EXPECT_NEAR(values[i], expected, 2e-3) << column << ", " << row;
+      }
+    }
+  }
+}
+
+TEST(Kernels, splineFilterIsTheSampleAtAPixel)
+{
+  cv::Mat pixels(kHeight, kWidth, CV_16UC1), values;
+  cv::RNG(6).fill(pixels, cv::RNG::UNIFORM, 0, 256);
+  pixels.convertTo(values, CV_32F);
+  const cv::Mat filtered = splineFiltered(values);
+  for (const cv::Point& place : { cv::Point(0, 0), cv::Point(12, 9), cv::Point(kWidth - 1, 17) })
+  {
+    EXPECT_NEAR(filtered.at<float>(place), splineSample(pixels, place.x, place.y), 1e-3) << place;
   }
 }
 

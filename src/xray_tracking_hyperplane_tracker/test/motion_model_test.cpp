@@ -63,6 +63,27 @@ cv::Mat noisy(const cv::Mat& exact, double noise, cv::RNG& random)
   return image;
 }
 
+/// Ten exposures without noise, over and over.
+class ExactExposures
+{
+public:
+  ExactExposures(MotionModel model, std::uint32_t seed, double range)
+  {
+    Random random(seed);
+    for (int i = 0; i < 10; ++i)
+    {
+      truths_.push_back(random.motion(model, range));
+      images_.push_back(expose(truths_.back()));
+    }
+  }
+  const Exposure& truth(int k) const { return truths_[static_cast<std::size_t>(k) % truths_.size()]; }
+  const cv::Mat& image(int k) const { return images_[static_cast<std::size_t>(k) % images_.size()]; }
+
+private:
+  std::vector<Exposure> truths_;
+  std::vector<cv::Mat> images_;
+};
+
 /// Largest error of the region's corners [px].
 double cornerError(const TrackResult& result, const Exposure& truth)
 {
@@ -98,14 +119,16 @@ TEST_P(EveryModel, followsItsMotions)
 {
   HyperplaneTracker tracker = trained();
   Random random(3);
+  double worst = 0.0;
   for (int i = 0; i < 12; ++i)
   {
     const Exposure e = random.motion(GetParam(), 12.0);
     const TrackResult& result = tracker.track(expose(e));
     ASSERT_EQ(result.status, TrackResult::Status::TRACKED) << i;
-    // Bilinear sampling of these textures moves the estimate by 0.03 px; so may it every corner of an affine motion.
-    EXPECT_LT(cornerError(result, e), 0.03 * static_cast<int>(GetParam()) / 2.0) << i;
+    worst = std::max(worst, cornerError(result, e));
   }
+  RecordProperty("worst_px", std::to_string(worst));
+  EXPECT_LT(worst, 0.01);
 }
 
 TEST_P(EveryModel, isNotPulledByWhatCoversAQuarter)
@@ -154,47 +177,60 @@ TEST_P(EveryModel, knowsItsCovariance)
   const double noise = 0.018;  // a fifth of the contrast, as in other benchmarks
   const int kTrials = 1000;
   options_.ranges = { 5.0 };
-  options_.training_motions = 200;
-  Random random(5);
-  std::vector<Exposure> truths;
-  std::vector<cv::Mat> exact;
-  for (int i = 0; i < 10; ++i)
-  {
-    truths.push_back(random.motion(GetParam(), 2.0));
-    // Beyond bilinear sampling's own error of a fast-changing warp, small motions are as good as large ones.
-    truths.back().linear = Eigen::Matrix2d::Identity() + 0.3 * (truths.back().linear - Eigen::Matrix2d::Identity());
-    exact.push_back(expose(truths.back()));
-  }
+  options_.points = 100;
+  options_.training_motions = 100;
+  const ExactExposures exposures(GetParam(), 5, 2.0);
   const cv::Mat reference = expose({});
   cv::RNG noises(17);
   HyperplaneTracker tracker(options_, counts());
   double normalised = 0.0;
   for (int i = 0; i < kTrials; ++i)
   {
-    const std::size_t k = static_cast<std::size_t>(i) % exact.size();
     tracker.train(noisy(reference, noise, noises), kRegion);
-    const TrackResult& result = tracker.track(noisy(exact[k], noise, noises));
+    const TrackResult& result = tracker.track(noisy(exposures.image(i), noise, noises));
     ASSERT_EQ(result.status, TrackResult::Status::TRACKED);
-    const Eigen::Vector2d error = result.displacement - truths[k].displacement;
+    const Eigen::Vector2d error = result.displacement - exposures.truth(i).displacement;
     normalised += error.dot(result.covariance.topLeftCorner<2, 2>().inverse() * error);
   }
-  // Chi-square of two degrees of freedom has the variance 4. Bilinear sampling, without any noise, errs by up to 0.004
-  // px here, beside 0.025 px of the noise.
-  const double bound = 1.96 * std::sqrt(4.0 / kTrials) + 2.0 * std::pow(0.004 / 0.025, 2);
+  // Chi-square of two degrees of freedom has the variance 4.
+  const double bound = 1.96 * std::sqrt(4.0 / kTrials);
   RecordProperty("normalised_error", std::to_string(normalised / kTrials));
   EXPECT_NEAR(normalised / kTrials, 2.0, bound);
 }
 
+TEST_P(EveryModel, errsByHardlyMoreThanTheNoiseAsks)
+{
+  const double noise = 0.018;
+  options_.ranges = { 10.0, 5.0 };
+  options_.points = 100;
+  options_.training_motions = 100;
+  const ExactExposures exposures(GetParam(), 15, 4.0);
+  const cv::Mat reference = expose({});
+  cv::RNG noises(29);
+  HyperplaneTracker tracker(options_, counts());
+  const int kTemplates = 20, kExposures = 50;
+  double squares = 0.0;
+  for (int i = 0; i < kTemplates; ++i)
+  {
+    tracker.train(noisy(reference, noise, noises), kRegion);
+    for (int k = 0; k < kExposures; ++k)
+    {
+      const TrackResult& result = tracker.track(noisy(exposures.image(k), noise, noises));
+      ASSERT_TRUE(result.found());
+      squares += (result.displacement - exposures.truth(k).displacement).squaredNorm();
+    }
+  }
+  const double share =
+      std::sqrt(squares / (kTemplates * kExposures)) / displacementBound(kRegion, kRegion.area(), noise);
+  RecordProperty("of_bound", std::to_string(share));
+  // Half of the variance is the templates', of which there are 20 in two directions: 6 %, twice that. An estimate that
+  // reckons with an overlay where there is none errs by half as much again.
+  EXPECT_LT(share, 1.12);
+}
+
 TEST_P(EveryModel, doesNotDrift)
 {
-  Random random(9);
-  std::vector<Exposure> truths;
-  std::vector<cv::Mat> exact;
-  for (int i = 0; i < 10; ++i)
-  {
-    truths.push_back(random.motion(GetParam(), 6.0));
-    exact.push_back(expose(truths.back()));
-  }
+  const ExactExposures exposures(GetParam(), 9, 6.0);
   for (const bool whole_region : { true, false })
   {
     options_.whole_region = whole_region;
@@ -204,8 +240,7 @@ TEST_P(EveryModel, doesNotDrift)
     std::vector<Eigen::Vector2d> sums(2, Eigen::Vector2d::Zero());
     for (int i = 0; i < 1000; ++i)
     {
-      const std::size_t k = static_cast<std::size_t>(i) % exact.size();
-      const cv::Mat image = noisy(exact[k], 0.03, noises);
+      const cv::Mat image = noisy(exposures.image(i), 0.03, noises);
       if (i % 50 == 25)
       {
         ASSERT_TRUE(tracker.retrain(image));
@@ -216,7 +251,7 @@ TEST_P(EveryModel, doesNotDrift)
       }
       if (i < 20 || i >= 980)
       {
-        sums[i < 20 ? 0 : 1] += (tracker.result().displacement - truths[k].displacement) / 20.0;
+        sums[i < 20 ? 0 : 1] += (tracker.result().displacement - exposures.truth(i).displacement) / 20.0;
       }
     }
     // The change of the error, over the same motions, from before the first re-training to after the last one.
@@ -230,24 +265,36 @@ TEST_P(EveryModel, knowsWhenItIsWrong)
   reference.noise = 0.02;
   HyperplaneTracker tracker = trained(reference);
   Random random(13);
+  cv::RNG noises(19);
   int wrong = 0, missed = 0, right = 0, alarms = 0;
   for (int i = 0; i < 300; ++i)
   {
-    Exposure e = random.motion(GetParam(), i % 2 == 0 ? 15.0 : 60.0);
-    e.noise = 0.02 + 0.02 * std::abs(random(1.0));
-    e.seed = static_cast<std::uint32_t>(i + 1);
-    e.cover = cv::Rect(cvRound(70 + random(50.0)), cvRound(55 + random(45.0)), 50, 45);
-    e.covering = i % 3 == 0 ? random(1.0) : 0.0;
-    const TrackResult& result = tracker.trackFrom(expose(e), Eigen::Vector2d::Zero());
-    const bool is_wrong = (result.displacement - e.displacement).norm() > 1.5;
-    wrong += is_wrong;
-    missed += is_wrong && result.found();
-    right += !is_wrong;
-    alarms += !is_wrong && !result.found();
+    const Exposure e = random.motion(GetParam(), i % 2 == 0 ? 15.0 : 60.0);
+    const cv::Mat exact = expose(e);
+    for (int k = 0; k < 5; ++k)
+    {
+      cv::Mat image = exact.clone();
+      if (k % 3 == 0)
+      {
+        const cv::Rect cover(cvRound(70 + random(50.0)), cvRound(55 + random(45.0)), 50, 45);
+        cv::Mat covered = image(cover);
+        covered.convertTo(covered, CV_16U, std::exp(-random(1.0)));
+      }
+      const TrackResult& result =
+          tracker.trackFrom(noisy(image, 0.02 + 0.02 * std::abs(random(1.0)), noises), Eigen::Vector2d::Zero());
+      const bool is_wrong = (result.displacement - e.displacement).norm() > 1.5;
+      wrong += is_wrong;
+      missed += is_wrong && result.found();
+      right += !is_wrong;
+      alarms += !is_wrong && !result.found();
+    }
   }
   RecordProperty("wrong", wrong);
-  ASSERT_GT(wrong, 10);
-  ASSERT_GT(right, 10);
+  RecordProperty("missed", missed);
+  RecordProperty("right", right);
+  RecordProperty("alarms", alarms);
+  ASSERT_GE(wrong, 500);
+  ASSERT_GE(right, 500);
   EXPECT_LE(missed, 0.01 * wrong);
   EXPECT_LE(alarms, 0.05 * right);
 }

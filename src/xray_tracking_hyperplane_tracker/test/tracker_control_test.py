@@ -38,6 +38,16 @@ class TrackerControlTest(TrackerTestCase):
         self.expect_value("too_slow", "exposures dropped, too slow", str(len(stamps) - len(answered)))
         self.expect_value("too_slow", "exposures answered", str(1 + len(answered)))
 
+    def test_diagnostics_tell_of_a_training_while_it_lasts(self):
+        detector = self.connect("slow_training")
+        self.expect_value("slow_training", "state", "untrained")
+        reference = self.stamp()
+        detector.send(reference, exposure())
+        self.expect_value("slow_training", "state", "training")
+        self.assertTrue(detector.answers.empty())
+        self.judge(detector.answer(), reference, reference, (0.0, 0.0))
+        self.expect_value("slow_training", "state", "tracking")
+
     def test_other_methods_track_as_well(self):
         for name, model in (("by_nmi", TrackedRegion.TRANSLATION),
                             ("by_gradient_correlation", TrackedRegion.EUCLIDEAN)):

@@ -19,7 +19,8 @@ struct Warp;
 struct HyperplaneTrackerOptions
 {
   MotionModel model = MotionModel::TRANSLATION;
-  /// Template points, uniformly random in the region; 50..20000.
+  /// Template points, uniformly random in the region; 50..20000, and so few that a training takes at most 1e9 bytes, 4
+  /// points (training_motions + 4 points).
   int points = 400;
   /// Edge of the square bins of pixels whose means the points sample [px]; 1..16. 1: single pixels, as in the paper.
   int bin = 4;
