@@ -26,7 +26,10 @@ std::atomic<int> large_allocations{ 0 };  // of an image's size or more
 
 void count(std::size_t size)
 {
-  large_allocations += size >= kImageBytes;
+  if (size >= kImageBytes)
+  {
+    ++large_allocations;
+  }
 }
 }  // namespace
 
