@@ -101,8 +101,7 @@ public:
       throw std::invalid_argument("target box: expected finite corners, min below max");
     }
     voxel_edge_ = std::cbrt(std::abs(bodies.target.grid.patient_from_index.linear().determinant()));
-    const double footprint = std::max(kFine.bin_mm / kUsualMagnification, voxel_edge_);
-    bodies_ = std::make_unique<const Bodies>(bodies, box, footprint, options.projector);
+    bodies_ = std::make_unique<const Bodies>(bodies, box, kFine.bin_mm / kUsualMagnification, options.projector);
     moving_ = bodies_->one ? Moving::TOGETHER : options.rest == RestMotion::ESTIMATED ? Moving::BOTH : Moving::TARGET;
   }
 
@@ -242,8 +241,8 @@ private:
     {
       const RegistrationView& view = run.request.views[v];
       // Not far below the size in which the CT's voxels appear on the detector: there is only noise to compare.
-      const double voxel = finest * voxel_edge_ * view.geometry.magnification(poses.target * bodies_->centre);
-      const Resolution able{ std::max(resolution.bin_mm, voxel), std::max(resolution.highpass_mm, voxel) };
+      const double voxel = voxel_edge_ * view.geometry.magnification(poses.target * bodies_->centre);
+      const Resolution able{ std::max(resolution.bin_mm, finest * voxel), std::max(resolution.highpass_mm, voxel) };
       views.emplace_back(view.geometry, run.attenuation[v], region(view, poses.target), able, ends);
     }
     return views;
