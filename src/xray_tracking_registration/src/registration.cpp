@@ -231,18 +231,17 @@ private:
     }
   }
 
-  /// @param finest edge of the bins, at least, in voxels as they appear on the detector
-  std::vector<ViewLevel> makeViews(const Run& run, const PosePair& poses, const Resolution& resolution,
-                                   double finest = 0.5) const
+  /// Neither bins below half of a CT's voxel, as it appears on the detector, nor a high-pass finer than it: there is only
+  /// noise to compare.
+  std::vector<ViewLevel> makeViews(const Run& run, const PosePair& poses, const Resolution& resolution) const
   {
     const std::vector<PlacedEnds> ends{ { bodies_->target_ends, poses.target }, { bodies_->rest_ends, poses.rest } };
     std::vector<ViewLevel> views;
     for (std::size_t v = 0; v < run.attenuation.size(); ++v)
     {
       const RegistrationView& view = run.request.views[v];
-      // Not far below the size in which the CT's voxels appear on the detector: there is only noise to compare.
       const double voxel = voxel_edge_ * view.geometry.magnification(poses.target * bodies_->centre);
-      const Resolution able{ std::max(resolution.bin_mm, finest * voxel), std::max(resolution.highpass_mm, voxel) };
+      const Resolution able{ std::max(resolution.bin_mm, 0.5 * voxel), std::max(resolution.highpass_mm, voxel) };
       views.emplace_back(view.geometry, run.attenuation[v], region(view, poses.target), able, ends);
     }
     return views;
@@ -325,15 +324,10 @@ private:
     const PosePair& poses = outcome.poses;
     outcome.similarity = at.meanSimilarity();
     outcome.views = viewResiduals(fine, at, poses.target * bodies_->centre);
-    const auto similarities = [&](const Resolution& resolution, double finest)
-    { return linearise(makeViews(run, poses, resolution, finest), *bodies_, poses, Moving::TARGET).similarity; };
-    const std::vector<double> wide = similarities(kCoarse, 1.0);
-    // What is finer than the CT's voxels guides the iterations but tells a good pose from a bad one no more.
-    const std::vector<double> told = kFine.bin_mm < voxel_edge_ ? similarities(kFine, 1.0) : at.similarity;
+    const Linearisation wide = linearise(makeViews(run, poses, kCoarse), *bodies_, poses, Moving::TARGET);
     for (std::size_t v = 0; v < outcome.views.size(); ++v)
     {
-      outcome.views[v].similarity = told[v];
-      outcome.views[v].coarse_similarity = wide[v];
+      outcome.views[v].coarse_similarity = wide.similarity[v];
     }
     outcome.covariance = poseCovariance(fine, at, prior, poses, *bodies_);
     outcome.doubt = doubt(outcome.views, outcome.covariance, options_);
