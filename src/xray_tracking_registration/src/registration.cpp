@@ -20,6 +20,7 @@ namespace xray_tracking
 namespace
 {
 constexpr Resolution kCoarse{ 3.2, 16.0 };
+constexpr Resolution kMedium{ 1.6, 5.0 };
 constexpr Resolution kFine{ 1.6, 1.6 };
 constexpr double kUsualMagnification = 1.45;  // of a treatment room's detectors; only how smooth DRRs are hangs on it
 constexpr Resolution kFineWide{ 1.6, 16.0 };  // for similarities that live on the large structures too
@@ -38,7 +39,12 @@ constexpr double kNearlyThere = 0.5;
 /// Views as similar as this show no other vertebra.
 constexpr double kSure = 0.72;
 constexpr double kNeighbour = 18.0;    // where another vertebra is looked for, along the patient's long axis [mm]
-constexpr double kMuchFarther = 12.0;  // from the start than what was found: the start itself speaks against it [mm]
+constexpr double kAlikeMargin = 0.1;   // by which others must be less alike
+constexpr double kTurned = 3.0 * M_PI / 180.0;  // from the start: worth a try from its orientation
+constexpr double kMuchFarther = 15.0;  // from the start than what was found: the start itself speaks against it [mm]
+/// So far from the start only what is sure is believed; from half of that on more is asked.
+constexpr double kFar = 10.0;  // [mm]
+constexpr double kFarRotation = 5.0 * M_PI / 180.0;
 /// What two bodies may differ by from one body that is believed [mm].
 constexpr double kMaxParted = 0.8;
 
@@ -47,6 +53,14 @@ constexpr double kRetryTranslation = 7.0;  // [mm]
 constexpr double kRetryRotation = 4.0 * M_PI / 180.0;
 constexpr std::size_t kRetries = 3;      // that are followed to the end
 constexpr double kRetriedMargin = 0.03;  // above the least similarity
+
+/// Which levels a descent goes through before the finest one.
+enum class Path
+{
+  COARSE,  ///< the coarse level, as one body and then as two: reaches farthest, but what most of the images show leads
+  MEDIUM,  ///< a medium one, as two bodies at once: where the start is better than where the rest leads
+  FINE     ///< none
+};
 
 /// Where one descent ended.
 struct Outcome
@@ -175,10 +189,19 @@ private:
 
     const bool near = options_.optimiser == Optimiser::GAUSS_NEWTON &&
                       *std::min_element(before.similarity.begin(), before.similarity.end()) >= kNearlyThere;
-    Outcome best = descend(run, start, near);
+    Outcome best = descend(run, start, near ? Path::FINE : Path::COARSE);
     if (near && !best.doubt.empty() && run.control.stop() == RunControl::Stop::NONE)
     {
-      best = descend(run, start, false);
+      best = descend(run, start, Path::COARSE);
+    }
+    if (moving_ == Moving::BOTH && options_.optimiser == Optimiser::GAUSS_NEWTON && !best.doubt.empty() &&
+        run.control.stop() == RunControl::Stop::NONE)
+    {
+      Outcome outcome = descend(run, start, Path::MEDIUM);
+      if (outcome.similarity > best.similarity)
+      {
+        best = std::move(outcome);
+      }
     }
     if (!best.doubt.empty() && options_.optimiser == Optimiser::GAUSS_NEWTON)
     {
@@ -187,7 +210,7 @@ private:
       demanding.min_similarity = std::min(1.0, options_.min_similarity + kRetriedMargin);
       for (const PosePair& other : otherStarts(run, start))
       {
-        Outcome outcome = descend(run, other, false);
+        Outcome outcome = descend(run, other, Path::COARSE);
         if (outcome.doubt.empty())
         {
           outcome.doubt = doubt(outcome.views, outcome.covariance, demanding);
@@ -204,7 +227,8 @@ private:
     }
     if (best.doubt.empty() && options_.optimiser == Optimiser::GAUSS_NEWTON)
     {
-      best.doubt = doubtByNeighbours(run, best);
+      compareWithNeighbours(run, best);
+      doubtIfFar(run, best);
     }
     result.room_from_patient = best.poses.target;
     if (!bodies_->one)
@@ -270,8 +294,8 @@ private:
     return cv::Rect(first.x(), first.y(), end.x() - first.x(), end.y() - first.y());
   }
 
-  /// From coarse to fine, or fine alone; then judged.
-  Outcome descend(const Run& run, const PosePair& start, bool fine_alone) const
+  /// Along a path to the finest level, and then judged. Derivative-free optimisers have a path of their own.
+  Outcome descend(const Run& run, const PosePair& start, Path path) const
   {
     Outcome outcome;
     outcome.poses = start;
@@ -283,7 +307,12 @@ private:
       {
         descendDerivativeFree(run, poses);
       }
-      else if (!fine_alone)
+      else if (path == Path::MEDIUM)
+      {
+        run.control.level = 0;
+        gaussNewton(makeViews(run, poses, kMedium), *bodies_, moving_, prior, kApart, run.control, poses);
+      }
+      else if (path == Path::COARSE)
       {
         run.control.level = 0;
         const std::vector<ViewLevel> coarse = makeViews(run, poses, kCoarse);
@@ -346,34 +375,62 @@ private:
   /// What moves while both bodies move as one.
   Moving together() const { return moving_ == Moving::TARGET ? moving_ : Moving::TOGETHER; }
 
-  /// Why another vertebra may be the target; empty if there is none within bounds, not much farther from the
-  /// start, that is as much alike. Where all
-  /// views are alike beyond doubt none is looked for.
-  std::string doubtByNeighbours(const Run& run, const Outcome& outcome) const
+  /// Puts what was found to the test where its views are not alike beyond doubt: whether the same place from the start's
+  /// orientation, or the next vertebra to either side, is as much alike, and not so much farther from the start that the
+  /// start itself speaks against it. It is taken instead if it is clearly more alike and nearer to the start.
+  void compareWithNeighbours(const Run& run, Outcome& best) const
   {
-    const double alike = leastSimilarity(outcome.views);
-    for (const double side : { -kNeighbour, kNeighbour })
+    const RigidTransform& start = run.request.room_from_patient;
+    const RigidTransform found = best.poses.target;
+    for (const double side : { 0.0, -kNeighbour, kNeighbour })
     {
-      if (alike >= kSure || run.control.stop() != RunControl::Stop::NONE)
+      const double alike = leastSimilarity(best.views);
+      if (alike >= kSure || !best.doubt.empty() || run.control.stop() != RunControl::Stop::NONE)
       {
-        return "";
+        return;
       }
-      Twist step = Twist::Zero();
-      step.tail<3>() = side * outcome.poses.target.linear().col(2);
-      const PosePair start = moved(outcome.poses, step, bodies_->centre, together());
-      const double found = run.control.distance(outcome.poses.target);
-      if (!run.control.inBounds(start.target) || run.control.distance(start.target) > found + kMuchFarther)
+      PosePair there{ start, start };
+      there.target.translation() +=
+          found * bodies_->centre - start * bodies_->centre + side * found.linear().col(2);
+      there.rest = bodies_->one ? there.target : there.target * run.request.target_from_rest;
+      const double farthest = run.control.distance(best.poses.target) + kMuchFarther;
+      if (!run.control.inBounds(there.target) || (side == 0.0 && rotationAngle(start.inverse() * found) < kTurned) ||
+          run.control.distance(there.target) > farthest + 5.0)
       {
         continue;
       }
-      const Outcome there = descend(run, start, false);
-      const double apart = targetRegistrationError(there.poses.target, outcome.poses.target, box_);
-      if (!there.views.empty() && apart > kMaxParted && leastSimilarity(there.views) > alike - kRetriedMargin)
+      Outcome other = descend(run, there, side == 0.0 && moving_ == Moving::BOTH ? Path::MEDIUM : Path::COARSE);
+      const double apart = targetRegistrationError(other.poses.target, best.poses.target, box_);
+      const double distance = run.control.distance(other.poses.target);
+      if (other.views.empty() || apart < kMaxParted || distance > farthest ||
+          leastSimilarity(other.views) < alike - kAlikeMargin)
       {
-        return message("a place ", apart, " mm away is as much alike");
+        continue;
+      }
+      if (distance < run.control.distance(best.poses.target) && leastSimilarity(other.views) > alike + kRetriedMargin)
+      {
+        best = std::move(other);
+      }
+      else
+      {
+        best.doubt = message("a place ", apart, " mm away is as much alike");
       }
     }
-    return "";
+  }
+
+  /// The farther from the start, the more places there are that look right by chance, so the more is asked.
+  void doubtIfFar(const Run& run, Outcome& best) const
+  {
+    const double distance = run.control.distance(best.poses.target);
+    const double angle = rotationAngle(run.request.room_from_patient.inverse() * best.poses.target);
+    const double far = std::clamp(2.0 * std::max(distance / kFar, angle / kFarRotation) - 1.0, 0.0, 1.0);
+    const double asked = options_.min_similarity + far * std::max(0.0, kSure - options_.min_similarity);
+    const double alike = leastSimilarity(best.views);
+    if (best.doubt.empty() && alike < asked)
+    {
+      best.doubt = message("similarity is ", alike, ", below the ", asked, " that is asked for ", distance, " mm and ",
+                           angle, " rad from the start");
+    }
   }
 
   /// Starts around the given one, the most promising first, each as far as a few coarse iterations bring it.
