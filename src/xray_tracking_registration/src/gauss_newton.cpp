@@ -10,7 +10,7 @@ namespace xray_tracking
 {
 namespace
 {
-constexpr float kHuber = 2.5f;              // in standard deviations
+constexpr float kHuber = 2.5f;        // in standard deviations
 constexpr float kDeformation = 1.5f;  // how far parts of the rest are from where its pose, a rigid one, has them [mm]
 constexpr double kSmallTranslation = 0.01;  // a step that ends the iterations [mm]
 constexpr double kSmallRotation = 0.01 * M_PI / 180.0;
@@ -99,8 +99,8 @@ Linearisation linearise(const std::vector<ViewLevel>& views, const Bodies& bodie
                       Eigen::VectorXf deformation = Eigen::VectorXf::Zero(model.image.size());
                       if (moving == Moving::BOTH)
                       {
-                        deformation = kDeformation * kDeformation *
-                                      model.derivatives.rightCols<3>().rowwise().squaredNorm();
+                        deformation =
+                            kDeformation * kDeformation * model.derivatives.rightCols<3>().rowwise().squaredNorm();
                       }
                       at.weights[v] = pixelWeights(views[v].measured() - model.image, views[v].valid(), deformation);
                     });
