@@ -10,6 +10,8 @@ namespace xray_tracking
 {
 namespace
 {
+constexpr double kFineVoxel = 1.2;  // edge up to which the rest's voxels are halved [mm]
+
 /// Calls visit(offset in the volume, weight) for every voxel of the mask, whose grid is a part of the volume's.
 template <typename Visit>
 void forVoxels(const VolumeGrid& volume, const TargetMask& mask, Visit visit)
@@ -37,9 +39,13 @@ Bodies::Bodies(const BodyModel& model, const Eigen::AlignedBox3d& target_box, do
   {
     throw std::invalid_argument("bodies: the target has no voxel");
   }
-  // The rest is a nuisance, and most of the voxels. As it deforms, which the model does not, a smooth one also fits the
-  // better.
-  ScalarVolume smooth = halved(one ? model.target : model.rest);
+  // The rest is a nuisance, and most of the voxels: two millimetres do for it. Coarser, what its edges lack is taken
+  // for a motion of the target.
+  ScalarVolume smooth = one ? model.target : model.rest;
+  if (smooth.grid.spacing().minCoeff() < kFineVoxel)
+  {
+    smooth = halved(smooth);
+  }
   rest_ends = CtEnds(smooth);
   if (one)
   {

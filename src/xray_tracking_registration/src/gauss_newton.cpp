@@ -10,15 +10,15 @@ namespace xray_tracking
 {
 namespace
 {
-constexpr double kHuber = 2.5;              // in standard deviations
+constexpr float kHuber = 2.5f;        // in standard deviations
+constexpr float kDeformation = 1.5f;  // how far parts of the rest are from where its pose, a rigid one, has them [mm]
 constexpr double kSmallTranslation = 0.01;  // a step that ends the iterations [mm]
 constexpr double kSmallRotation = 0.01 * M_PI / 180.0;
 constexpr int kMaxRejections = 2;
 constexpr double kMinGain = 0.05;  // of a model that is not yet like the image
 
-/// Inverse variances of the pixels' differences, with Huber's weights; the variance follows from the median. 0 for what
-/// does not count.
-Eigen::VectorXf huberWeights(const Eigen::VectorXf& residual, const Eigen::VectorXf& valid)
+/// Standard deviation of what counts, from the median size.
+float robustDeviation(const Eigen::VectorXf& residual, const Eigen::VectorXf& valid)
 {
   std::vector<float> sizes;
   sizes.reserve(residual.size());
@@ -30,11 +30,23 @@ Eigen::VectorXf huberWeights(const Eigen::VectorXf& residual, const Eigen::Vecto
     }
   }
   std::nth_element(sizes.begin(), sizes.begin() + sizes.size() / 2, sizes.end());
-  const auto limit = static_cast<float>(kHuber * 1.4826 * sizes[sizes.size() / 2]);
+  return 1.4826f * sizes[sizes.size() / 2];
+}
+
+/// Inverse variances of the pixels' differences, with Huber's weights; the variance follows from the median. 0 for what
+/// does not count.
+/// @param deformation variance that comes on top in each pixel
+Eigen::VectorXf pixelWeights(const Eigen::VectorXf& residual, const Eigen::VectorXf& valid,
+                             const Eigen::VectorXf& deformation)
+{
+  const float deviation = robustDeviation(residual, valid);
+  const Eigen::VectorXf shape = (deformation.array() + deviation * deviation).max(1e-12f);
+  const Eigen::VectorXf whitened = residual.cwiseQuotient(shape.cwiseSqrt());
+  const float limit = kHuber * robustDeviation(whitened, valid);
   const Eigen::VectorXf weights = valid.binaryExpr(
-      residual, [limit](float counts, float r) { return std::abs(r) > limit ? counts * limit / std::abs(r) : counts; });
-  const float variance = weights.dot(residual.cwiseAbs2()) / weights.sum();
-  return variance > 0.0f ? (weights / variance).eval() : weights;
+      whitened, [limit](float counts, float r) { return std::abs(r) > limit ? counts * limit / std::abs(r) : counts; });
+  const float variance = weights.dot(whitened.cwiseAbs2()) / weights.sum();
+  return (variance > 0.0f ? (weights / variance).eval() : weights).cwiseQuotient(shape);
 }
 
 bool isSmall(const Eigen::VectorXd& step)
@@ -84,7 +96,13 @@ Linearisation linearise(const std::vector<ViewLevel>& views, const Bodies& bodie
                       const auto gain = static_cast<float>(std::max(at.similarity[v], kMinGain));
                       model.image *= gain;
                       model.derivatives *= gain;
-                      at.weights[v] = huberWeights(views[v].measured() - model.image, views[v].valid());
+                      Eigen::VectorXf deformation = Eigen::VectorXf::Zero(model.image.size());
+                      if (moving == Moving::BOTH)
+                      {
+                        deformation =
+                            kDeformation * kDeformation * model.derivatives.rightCols<3>().rowwise().squaredNorm();
+                      }
+                      at.weights[v] = pixelWeights(views[v].measured() - model.image, views[v].valid(), deformation);
                     });
   return at;
 }

@@ -12,7 +12,9 @@ namespace xray_tracking
 struct Linearisation
 {
   std::vector<ViewModel> models;         ///< one a view, times the correlation coefficient
-  std::vector<Eigen::VectorXf> weights;  ///< inverse variances with Huber's weights, one a pixel
+  /// Inverse variances with Huber's weights, one a pixel: noise and, where both bodies move, what the rest's deformation
+  /// makes of its edges.
+  std::vector<Eigen::VectorXf> weights;
   std::vector<double> similarity;        ///< correlation coefficient of every view
 
   double meanSimilarity() const;

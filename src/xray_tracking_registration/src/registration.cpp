@@ -6,57 +6,36 @@
 
 #include "xray_tracking_core/evaluation/evaluation.h"
 
-#include "derivative_free.h"
-#include "gauss_newton.h"
-#include "image_level.h"
+#include "descender.h"
 #include "message.h"
 #include "reliability.h"
 #include "run_control.h"
 #include "xray_tracking_registration/attenuation_image.h"
-#include "xray_tracking_registration/similarity.h"
 
 namespace xray_tracking
 {
 namespace
 {
-constexpr Resolution kCoarse{ 3.2, 16.0 };
-constexpr Resolution kFine{ 1.6, 1.6 };
 constexpr double kUsualMagnification = 1.45;  // of a treatment room's detectors; only how smooth DRRs are hangs on it
-constexpr Resolution kFineWide{ 1.6, 16.0 };  // for similarities that live on the large structures too
-constexpr Descent kTogether{ 12, 3e-3 };
-constexpr Descent kApart{ 8, 3e-3 };
-constexpr Descent kFinish{ 15, 1e-4 };
 constexpr Descent kTry{ 6, 1e-2 };
-constexpr Descent kPart{ 8, 1e-3 };  // to see whether one body would rather be two
-
-/// How far the rest may have moved against the target since the start: weak, a standard deviation of 4 degrees and 5
-/// mm.
-const Twist kRestInformation =
-    (Twist() << Eigen::Vector3d::Constant(205.0), Eigen::Vector3d::Constant(0.04)).finished();
 /// Views as similar as this at the start are near enough for the fine level alone.
 constexpr double kNearlyThere = 0.5;
 /// Views as similar as this show no other vertebra.
 constexpr double kSure = 0.72;
-constexpr double kNeighbour = 18.0;    // where another vertebra is looked for, along the patient's long axis [mm]
-constexpr double kMuchFarther = 12.0;  // from the start than what was found: the start itself speaks against it [mm]
-/// What two bodies may differ by from one body that is believed [mm].
-constexpr double kMaxParted = 0.8;
+constexpr double kNeighbour = 18.0;   // where another vertebra is looked for, along the patient's long axis [mm]
+constexpr double kAlikeMargin = 0.1;  // by which others must be less alike
+constexpr double kTurned = 3.0 * M_PI / 180.0;  // from the start: worth a try from its orientation
+constexpr double kMuchFarther = 15.0;  // from the start than what was found: the start itself speaks against it [mm]
+/// So far from the start only what is sure is believed; from half of that on more is asked.
+constexpr double kFar = 10.0;  // [mm]
+constexpr double kFarRotation = 5.0 * M_PI / 180.0;
+constexpr double kElsewhere = 0.8;  // from what was found: another place [mm]
 
 // Where to start again if the first try fails: this far from the start along and about each axis of the room.
 constexpr double kRetryTranslation = 7.0;  // [mm]
 constexpr double kRetryRotation = 4.0 * M_PI / 180.0;
 constexpr std::size_t kRetries = 3;      // that are followed to the end
 constexpr double kRetriedMargin = 0.03;  // above the least similarity
-
-/// Where one descent ended.
-struct Outcome
-{
-  PosePair poses;
-  std::vector<ViewResidual> views;
-  double similarity = -1.0;
-  Eigen::Matrix<double, 6, 6> covariance = Eigen::Matrix<double, 6, 6>::Zero();
-  std::string doubt;  ///< why it is not to be believed; empty if it is
-};
 
 void check(const RegistrationRequest& request)
 {
@@ -93,17 +72,16 @@ class Registration::Implementation
 {
 public:
   Implementation(const BodyModel& bodies, const Eigen::AlignedBox3d& box, const RegistrationOptions& options)
-    : options_(options), box_(box), similarity_(makeSimilarity(options.similarity))
+    : options_(options), box_(box)
   {
     options.validate();
     if (box.isEmpty() || !box.min().allFinite() || !box.max().allFinite())
     {
       throw std::invalid_argument("target box: expected finite corners, min below max");
     }
-    voxel_edge_ = std::cbrt(std::abs(bodies.target.grid.patient_from_index.linear().determinant()));
-    const double footprint = std::max(kFine.bin_mm / kUsualMagnification, voxel_edge_);
-    bodies_ = std::make_unique<const Bodies>(bodies, box, footprint, options.projector);
-    moving_ = bodies_->one ? Moving::TOGETHER : options.rest == RestMotion::ESTIMATED ? Moving::BOTH : Moving::TARGET;
+    bodies_ = std::make_unique<const Bodies>(bodies, box, kFine.bin_mm / kUsualMagnification, options.projector);
+    const double voxel = std::cbrt(std::abs(bodies.target.grid.patient_from_index.linear().determinant()));
+    descender_ = std::make_unique<const Descender>(*bodies_, box, voxel, options);
   }
 
   RegistrationResult run(const RegistrationRequest& request) const
@@ -140,13 +118,6 @@ public:
   std::size_t memory() const { return bodies_->target->memory() + bodies_->rest->memory(); }
 
 private:
-  struct Run
-  {
-    const RegistrationRequest& request;
-    std::vector<cv::Mat> attenuation;  ///< one a view
-    RunControl& control;
-  };
-
   static std::vector<cv::Mat> attenuationImages(const RegistrationRequest& request)
   {
     std::vector<cv::Mat> images(request.views.size());
@@ -170,16 +141,25 @@ private:
     const PosePair start{ request.room_from_patient, bodies_->one
                                                          ? request.room_from_patient
                                                          : request.room_from_patient * request.target_from_rest };
-    const Linearisation before = linearise(makeViews(run, start, kFine), *bodies_, start, Moving::TARGET);
+    const Linearisation before = linearise(descender_->makeViews(run, start, kFine), *bodies_, start, Moving::TARGET);
     result.similarity_before = before.meanSimilarity();
-    makeViews(run, start, kCoarse);
+    descender_->makeViews(run, start, kCoarse);
 
     const bool near = options_.optimiser == Optimiser::GAUSS_NEWTON &&
                       *std::min_element(before.similarity.begin(), before.similarity.end()) >= kNearlyThere;
-    Outcome best = descend(run, start, near);
+    Outcome best = descender_->descend(run, start, near ? Path::FINE : Path::COARSE);
     if (near && !best.doubt.empty() && run.control.stop() == RunControl::Stop::NONE)
     {
-      best = descend(run, start, false);
+      best = descender_->descend(run, start, Path::COARSE);
+    }
+    if (descender_->moving() == Moving::BOTH && options_.optimiser == Optimiser::GAUSS_NEWTON && !best.doubt.empty() &&
+        run.control.stop() == RunControl::Stop::NONE)
+    {
+      Outcome outcome = descender_->descend(run, start, Path::MEDIUM);
+      if (outcome.similarity > best.similarity)
+      {
+        best = std::move(outcome);
+      }
     }
     if (!best.doubt.empty() && options_.optimiser == Optimiser::GAUSS_NEWTON)
     {
@@ -188,7 +168,7 @@ private:
       demanding.min_similarity = std::min(1.0, options_.min_similarity + kRetriedMargin);
       for (const PosePair& other : otherStarts(run, start))
       {
-        Outcome outcome = descend(run, other, false);
+        Outcome outcome = descender_->descend(run, other, Path::COARSE);
         if (outcome.doubt.empty())
         {
           outcome.doubt = doubt(outcome.views, outcome.covariance, demanding);
@@ -205,7 +185,8 @@ private:
     }
     if (best.doubt.empty() && options_.optimiser == Optimiser::GAUSS_NEWTON)
     {
-      best.doubt = doubtByNeighbours(run, best);
+      compareWithNeighbours(run, best);
+      doubtIfFar(run, best);
     }
     result.room_from_patient = best.poses.target;
     if (!bodies_->one)
@@ -232,155 +213,69 @@ private:
     }
   }
 
-  /// @param finest edge of the bins, at least, in voxels as they appear on the detector
-  std::vector<ViewLevel> makeViews(const Run& run, const PosePair& poses, const Resolution& resolution,
-                                   double finest = 0.5) const
+  /// Puts what was found to the test where its views are not alike beyond doubt: whether the same place from the
+  /// start's orientation, or the next vertebra to either side, is as much alike, and not so much farther from the start
+  /// that the start itself speaks against it. It is taken instead if it is clearly more alike and nearer to the start.
+  void compareWithNeighbours(const Run& run, Outcome& best) const
   {
-    const std::vector<PlacedEnds> ends{ { bodies_->target_ends, poses.target }, { bodies_->rest_ends, poses.rest } };
-    std::vector<ViewLevel> views;
-    for (std::size_t v = 0; v < run.attenuation.size(); ++v)
+    const RigidTransform& start = run.request.room_from_patient;
+    const RigidTransform found = best.poses.target;
+    for (const double side : { 0.0, -kNeighbour, kNeighbour })
     {
-      const RegistrationView& view = run.request.views[v];
-      // Not far below the size in which the CT's voxels appear on the detector: there is only noise to compare.
-      const double voxel = finest * voxel_edge_ * view.geometry.magnification(poses.target * bodies_->centre);
-      const Resolution able{ std::max(resolution.bin_mm, voxel), std::max(resolution.highpass_mm, voxel) };
-      views.emplace_back(view.geometry, run.attenuation[v], region(view, poses.target), able, ends);
-    }
-    return views;
-  }
-
-  cv::Rect region(const RegistrationView& view, const RigidTransform& room_from_patient) const
-  {
-    if (!view.region.empty())
-    {
-      return view.region;
-    }
-    Eigen::AlignedBox2d seen;
-    for (int corner = 0; corner < 8; ++corner)
-    {
-      const Eigen::Vector2d pixel =
-          view.geometry.project(room_from_patient * box_.corner(static_cast<Eigen::AlignedBox3d::CornerType>(corner)));
-      // Far outside also if the start is behind the source or as far off as to overflow pixel numbers.
-      if (!(pixel.cwiseAbs().maxCoeff() < 1e6))
+      const double alike = leastSimilarity(best.views);
+      if (alike >= kSure || !best.doubt.empty() || run.control.stop() != RunControl::Stop::NONE)
       {
-        throw std::invalid_argument("view " + view.geometry.name() + ": does not see the target from the start pose");
+        return;
       }
-      seen.extend(pixel);
-    }
-    const Eigen::Vector2i first = seen.min().array().floor().cast<int>();
-    const Eigen::Vector2i end = seen.max().array().ceil().cast<int>() + 1;
-    return cv::Rect(first.x(), first.y(), end.x() - first.x(), end.y() - first.y());
-  }
-
-  /// From coarse to fine, or fine alone; then judged.
-  Outcome descend(const Run& run, const PosePair& start, bool fine_alone) const
-  {
-    Outcome outcome;
-    outcome.poses = start;
-    PosePair& poses = outcome.poses;
-    const RestPrior prior{ run.request.target_from_rest, kRestInformation };
-    try
-    {
-      if (options_.optimiser != Optimiser::GAUSS_NEWTON)
+      PosePair there{ start, start };
+      there.target.translation() += found * bodies_->centre - start * bodies_->centre + side * found.linear().col(2);
+      if (descender_->moving() == Moving::TARGET)
       {
-        descendDerivativeFree(run, poses);
+        there.rest = start * run.request.target_from_rest;
       }
-      else if (!fine_alone)
+      else
       {
-        run.control.level = 0;
-        const std::vector<ViewLevel> coarse = makeViews(run, poses, kCoarse);
-        if (moving_ == Moving::BOTH)
-        {
-          // As one body first: half as many unknowns reach further.
-          gaussNewton(coarse, *bodies_, Moving::TOGETHER, prior, kTogether, run.control, poses);
-        }
-        gaussNewton(coarse, *bodies_, moving_, prior, kApart, run.control, poses);
+        there.rest = bodies_->one ? there.target : there.target * run.request.target_from_rest;
       }
-      run.control.level = 1;
-      const std::vector<ViewLevel> fine = makeViews(run, poses, kFine);
-      const Linearisation at = options_.optimiser == Optimiser::GAUSS_NEWTON
-                                   ? gaussNewton(fine, *bodies_, moving_, prior, kFinish, run.control, poses)
-                                   : linearise(fine, *bodies_, poses, moving_);
-      judge(run, prior, fine, at, outcome);
-    }
-    catch (const std::invalid_argument& error)
-    {
-      outcome.doubt = error.what();
-    }
-    return outcome;
-  }
-
-  void descendDerivativeFree(const Run& run, PosePair& poses) const
-  {
-    run.control.level = 0;
-    optimiseDerivativeFree(makeViews(run, poses, kCoarse), *bodies_, together(), options_.optimiser, *similarity_, 3.0,
-                           run.control, poses);
-    run.control.level = 1;
-    optimiseDerivativeFree(makeViews(run, poses, kFineWide), *bodies_, moving_, options_.optimiser, *similarity_, 0.7,
-                           run.control, poses);
-  }
-
-  void judge(const Run& run, const RestPrior& prior, const std::vector<ViewLevel>& fine, const Linearisation& at,
-             Outcome& outcome) const
-  {
-    const PosePair& poses = outcome.poses;
-    outcome.similarity = at.meanSimilarity();
-    outcome.views = viewResiduals(fine, at, poses.target * bodies_->centre);
-    const auto similarities = [&](const Resolution& resolution, double finest)
-    { return linearise(makeViews(run, poses, resolution, finest), *bodies_, poses, Moving::TARGET).similarity; };
-    const std::vector<double> wide = similarities(kCoarse, 1.0);
-    // What is finer than the CT's voxels guides the iterations but tells a good pose from a bad one no more.
-    const std::vector<double> told = kFine.bin_mm < voxel_edge_ ? similarities(kFine, 1.0) : at.similarity;
-    for (std::size_t v = 0; v < outcome.views.size(); ++v)
-    {
-      outcome.views[v].similarity = told[v];
-      outcome.views[v].coarse_similarity = wide[v];
-    }
-    outcome.covariance = poseCovariance(fine, at, prior, poses, *bodies_);
-    outcome.doubt = doubt(outcome.views, outcome.covariance, options_);
-    if (outcome.doubt.empty() && bodies_->one)
-    {
-      PosePair apart = poses;
-      gaussNewton(fine, *bodies_, Moving::BOTH, prior, kPart, run.control, apart);
-      const double parted = targetRegistrationError(apart.target, poses.target, box_);
-      if (parted > kMaxParted)
-      {
-        outcome.doubt = message("two bodies would have the target ", parted, " mm elsewhere, above ", kMaxParted);
-      }
-    }
-  }
-
-  /// What moves while both bodies move as one.
-  Moving together() const { return moving_ == Moving::TARGET ? moving_ : Moving::TOGETHER; }
-
-  /// Why another vertebra may be the target; empty if there is none within bounds, not much farther from the
-  /// start, that is as much alike. Where all
-  /// views are alike beyond doubt none is looked for.
-  std::string doubtByNeighbours(const Run& run, const Outcome& outcome) const
-  {
-    const double alike = leastSimilarity(outcome.views);
-    for (const double side : { -kNeighbour, kNeighbour })
-    {
-      if (alike >= kSure || run.control.stop() != RunControl::Stop::NONE)
-      {
-        return "";
-      }
-      Twist step = Twist::Zero();
-      step.tail<3>() = side * outcome.poses.target.linear().col(2);
-      const PosePair start = moved(outcome.poses, step, bodies_->centre, together());
-      const double found = run.control.distance(outcome.poses.target);
-      if (!run.control.inBounds(start.target) || run.control.distance(start.target) > found + kMuchFarther)
+      const double farthest = run.control.distance(best.poses.target) + kMuchFarther;
+      if (!run.control.inBounds(there.target) || (side == 0.0 && rotationAngle(start.inverse() * found) < kTurned) ||
+          run.control.distance(there.target) > farthest + 5.0)
       {
         continue;
       }
-      const Outcome there = descend(run, start, false);
-      const double apart = targetRegistrationError(there.poses.target, outcome.poses.target, box_);
-      if (!there.views.empty() && apart > kMaxParted && leastSimilarity(there.views) > alike - kRetriedMargin)
+      Outcome other = descender_->descend(
+          run, there, side == 0.0 && descender_->moving() == Moving::BOTH ? Path::MEDIUM : Path::COARSE);
+      const double apart = targetRegistrationError(other.poses.target, best.poses.target, box_);
+      const double distance = run.control.distance(other.poses.target);
+      if (other.views.empty() || apart < kElsewhere || distance > farthest ||
+          leastSimilarity(other.views) < alike - kAlikeMargin)
       {
-        return message("a place ", apart, " mm away is as much alike");
+        continue;
+      }
+      if (distance < run.control.distance(best.poses.target) && leastSimilarity(other.views) > alike + kRetriedMargin)
+      {
+        best = std::move(other);
+      }
+      else
+      {
+        best.doubt = message("a place ", apart, " mm away is as much alike");
       }
     }
-    return "";
+  }
+
+  /// The farther from the start, the more places there are that look right by chance, so the more is asked.
+  void doubtIfFar(const Run& run, Outcome& best) const
+  {
+    const double distance = run.control.distance(best.poses.target);
+    const double angle = rotationAngle(run.request.room_from_patient.inverse() * best.poses.target);
+    const double far = std::clamp(2.0 * std::max(distance / kFar, angle / kFarRotation) - 1.0, 0.0, 1.0);
+    const double asked = options_.min_similarity + far * std::max(0.0, kSure - options_.min_similarity);
+    const double alike = leastSimilarity(best.views);
+    if (best.doubt.empty() && alike < asked)
+    {
+      best.doubt = message("similarity is ", alike, ", below the ", asked, " that is asked for ", distance, " mm and ",
+                           angle, " rad from the start");
+    }
   }
 
   /// Starts around the given one, the most promising first, each as far as a few coarse iterations bring it.
@@ -396,11 +291,11 @@ private:
     {
       Twist offset = Twist::Zero();
       offset[n / 2] = (n % 2 == 0 ? 1.0 : -1.0) * (n < 6 ? kRetryRotation : kRetryTranslation);
-      PosePair poses = moved(start, offset, bodies_->centre, together());
+      PosePair poses = moved(start, offset, bodies_->centre, descender_->together());
       try
       {
-        const Linearisation at =
-            gaussNewton(makeViews(run, poses, kCoarse), *bodies_, together(), RestPrior{}, kTry, run.control, poses);
+        const Linearisation at = gaussNewton(descender_->makeViews(run, poses, kCoarse), *bodies_,
+                                             descender_->together(), RestPrior{}, kTry, run.control, poses);
         candidates.push_back({ poses, at.meanSimilarity() });
       }
       catch (const std::invalid_argument&)
@@ -421,10 +316,8 @@ private:
 
   RegistrationOptions options_;
   Eigen::AlignedBox3d box_;
-  std::unique_ptr<const Similarity> similarity_;
   std::unique_ptr<const Bodies> bodies_;
-  double voxel_edge_;  ///< geometric mean [mm]
-  Moving moving_;
+  std::unique_ptr<const Descender> descender_;
 };
 
 Registration::Registration(const BodyModel& bodies, const Eigen::AlignedBox3d& target_box,

@@ -18,8 +18,9 @@ class BodyRenderer
 {
 public:
   /// @param volume attenuation [1/mm]; moved in, as it is held twice for a while
-  /// @param footprint edge of the smallest bins that will be asked for, at the volume [mm]: the finest resolution is
-  ///        smoothed as such bins smooth; coarser ones are halved, as long as their bins can be
+  /// @param footprint edge of the smallest bins that will be asked for, at the volume [mm]: the finest resolution has
+  ///        their blur in place of that of voxels and interpolation; coarser ones are halved, as long as their bins can
+  ///        be
   /// @param projector what render() uses
   /// @param smoothness finest voxel edge that will do, in grid steps at the volume
   BodyRenderer(ScalarVolume volume, double footprint, double smoothness, Projector projector);

@@ -1,0 +1,156 @@
+#include "descender.h"
+
+#include <algorithm>
+#include <stdexcept>
+
+#include "derivative_free.h"
+#include "message.h"
+#include "reliability.h"
+#include "xray_tracking_core/evaluation/evaluation.h"
+
+namespace xray_tracking
+{
+namespace
+{
+constexpr Resolution kMedium{ 1.6, 5.0 };
+constexpr Resolution kFineWide{ 1.6, 16.0 };  // for similarities that live on the large structures too
+constexpr Descent kTogether{ 12, 3e-3 };
+constexpr Descent kApart{ 8, 3e-3 };
+constexpr Descent kFinish{ 15, 1e-4 };
+constexpr Descent kPart{ 8, 1e-3 };  // to see whether one body would rather be two
+
+/// How far the rest may have moved against the target since the start: weak, a standard deviation of 4 degrees and 5
+/// mm.
+const Twist kRestInformation =
+    (Twist() << Eigen::Vector3d::Constant(205.0), Eigen::Vector3d::Constant(0.04)).finished();
+/// What two bodies may differ by from one body that is believed [mm].
+constexpr double kMaxParted = 0.8;
+}  // namespace
+
+Descender::Descender(const Bodies& bodies, const Eigen::AlignedBox3d& target_box, double voxel_edge,
+                     const RegistrationOptions& options)
+  : bodies_(bodies),
+    box_(target_box),
+    voxel_edge_(voxel_edge),
+    options_(options),
+    similarity_(makeSimilarity(options.similarity)),
+    moving_(bodies.one                              ? Moving::TOGETHER
+            : options.rest == RestMotion::ESTIMATED ? Moving::BOTH
+                                                    : Moving::TARGET)
+{
+}
+
+std::vector<ViewLevel> Descender::makeViews(const Run& run, const PosePair& poses, const Resolution& resolution) const
+{
+  const std::vector<PlacedEnds> ends{ { bodies_.target_ends, poses.target }, { bodies_.rest_ends, poses.rest } };
+  std::vector<ViewLevel> views;
+  for (std::size_t v = 0; v < run.attenuation.size(); ++v)
+  {
+    const RegistrationView& view = run.request.views[v];
+    const double voxel = voxel_edge_ * view.geometry.magnification(poses.target * bodies_.centre);
+    const Resolution able{ std::max(resolution.bin_mm, 0.5 * voxel), std::max(resolution.highpass_mm, voxel) };
+    views.emplace_back(view.geometry, run.attenuation[v], region(view, poses.target), able, ends);
+  }
+  return views;
+}
+
+cv::Rect Descender::region(const RegistrationView& view, const RigidTransform& room_from_patient) const
+{
+  if (!view.region.empty())
+  {
+    return view.region;
+  }
+  Eigen::AlignedBox2d seen;
+  for (int corner = 0; corner < 8; ++corner)
+  {
+    const Eigen::Vector2d pixel =
+        view.geometry.project(room_from_patient * box_.corner(static_cast<Eigen::AlignedBox3d::CornerType>(corner)));
+    // Far outside also if the start is behind the source or as far off as to overflow pixel numbers.
+    if (!(pixel.cwiseAbs().maxCoeff() < 1e6))
+    {
+      throw std::invalid_argument("view " + view.geometry.name() + ": does not see the target from the start pose");
+    }
+    seen.extend(pixel);
+  }
+  const Eigen::Vector2i first = seen.min().array().floor().cast<int>();
+  const Eigen::Vector2i end = seen.max().array().ceil().cast<int>() + 1;
+  return cv::Rect(first.x(), first.y(), end.x() - first.x(), end.y() - first.y());
+}
+
+Outcome Descender::descend(const Run& run, const PosePair& start, Path path) const
+{
+  Outcome outcome;
+  outcome.poses = start;
+  PosePair& poses = outcome.poses;
+  const RestPrior prior{ run.request.target_from_rest, kRestInformation };
+  try
+  {
+    if (options_.optimiser != Optimiser::GAUSS_NEWTON)
+    {
+      descendDerivativeFree(run, poses);
+    }
+    else if (path == Path::MEDIUM)
+    {
+      run.control.level = 0;
+      gaussNewton(makeViews(run, poses, kMedium), bodies_, moving_, prior, kApart, run.control, poses);
+    }
+    else if (path == Path::COARSE)
+    {
+      run.control.level = 0;
+      const std::vector<ViewLevel> coarse = makeViews(run, poses, kCoarse);
+      if (moving_ == Moving::BOTH)
+      {
+        // As one body first: half as many unknowns reach further.
+        gaussNewton(coarse, bodies_, Moving::TOGETHER, prior, kTogether, run.control, poses);
+      }
+      gaussNewton(coarse, bodies_, moving_, prior, kApart, run.control, poses);
+    }
+    run.control.level = 1;
+    const std::vector<ViewLevel> fine = makeViews(run, poses, kFine);
+    const Linearisation at = options_.optimiser == Optimiser::GAUSS_NEWTON
+                                 ? gaussNewton(fine, bodies_, moving_, prior, kFinish, run.control, poses)
+                                 : linearise(fine, bodies_, poses, moving_);
+    judge(run, prior, fine, at, outcome);
+  }
+  catch (const std::invalid_argument& error)
+  {
+    outcome.doubt = error.what();
+  }
+  return outcome;
+}
+
+void Descender::descendDerivativeFree(const Run& run, PosePair& poses) const
+{
+  run.control.level = 0;
+  optimiseDerivativeFree(makeViews(run, poses, kCoarse), bodies_, together(), options_.optimiser, *similarity_, 3.0,
+                         run.control, poses);
+  run.control.level = 1;
+  optimiseDerivativeFree(makeViews(run, poses, kFineWide), bodies_, moving_, options_.optimiser, *similarity_, 0.7,
+                         run.control, poses);
+}
+
+void Descender::judge(const Run& run, const RestPrior& prior, const std::vector<ViewLevel>& fine,
+                      const Linearisation& at, Outcome& outcome) const
+{
+  const PosePair& poses = outcome.poses;
+  outcome.similarity = at.meanSimilarity();
+  outcome.views = viewResiduals(fine, at, poses.target * bodies_.centre);
+  const Linearisation wide = linearise(makeViews(run, poses, kCoarse), bodies_, poses, Moving::TARGET);
+  for (std::size_t v = 0; v < outcome.views.size(); ++v)
+  {
+    outcome.views[v].coarse_similarity = wide.similarity[v];
+  }
+  outcome.covariance = poseCovariance(fine, at, prior, poses, bodies_);
+  outcome.doubt = doubt(outcome.views, outcome.covariance, options_);
+  if (outcome.doubt.empty() && bodies_.one)
+  {
+    PosePair apart = poses;
+    gaussNewton(fine, bodies_, Moving::BOTH, prior, kPart, run.control, apart);
+    const double parted = targetRegistrationError(apart.target, poses.target, box_);
+    if (parted > kMaxParted)
+    {
+      outcome.doubt = message("two bodies would have the target ", parted, " mm elsewhere, above ", kMaxParted);
+    }
+  }
+}
+}  // namespace xray_tracking

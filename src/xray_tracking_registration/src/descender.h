@@ -1,0 +1,79 @@
+#pragma once
+
+#include <memory>
+#include <string>
+#include <vector>
+
+#include <opencv2/core.hpp>
+
+#include "gauss_newton.h"
+#include "run_control.h"
+#include "xray_tracking_registration/registration.h"
+#include "xray_tracking_registration/similarity.h"
+
+namespace xray_tracking
+{
+constexpr Resolution kCoarse{ 3.2, 16.0 };
+constexpr Resolution kFine{ 1.6, 1.6 };
+
+/// Which levels a descent goes through before the finest one.
+enum class Path
+{
+  COARSE,  ///< the coarse level, as one body and then as two: reaches farthest, but what most of the images show leads
+  MEDIUM,  ///< a medium one, as two bodies at once: where the start is better than where the rest leads
+  FINE     ///< none
+};
+
+/// Where one descent ended.
+struct Outcome
+{
+  PosePair poses;
+  std::vector<ViewResidual> views;
+  double similarity = -1.0;
+  Eigen::Matrix<double, 6, 6> covariance = Eigen::Matrix<double, 6, 6>::Zero();
+  std::string doubt;  ///< why it is not to be believed; empty if it is
+};
+
+/// One run of a registration.
+struct Run
+{
+  const RegistrationRequest& request;
+  std::vector<cv::Mat> attenuation;  ///< one a view
+  RunControl& control;
+};
+
+/// Descends from one start to the pose that is most alike, and judges it.
+class Descender
+{
+public:
+  /// Keeps the bodies' address.
+  /// @param voxel_edge of the CT, geometric mean [mm]
+  Descender(const Bodies& bodies, const Eigen::AlignedBox3d& target_box, double voxel_edge,
+            const RegistrationOptions& options);
+
+  /// Along a path to the finest level, and then judged. Derivative-free optimisers have a path of their own.
+  Outcome descend(const Run& run, const PosePair& start, Path path) const;
+
+  /// Neither bins below half of a CT's voxel, as it appears on the detector, nor a high-pass finer than it: there is
+  /// only noise to compare.
+  /// @throws std::invalid_argument naming the view that does not see the target, or as ViewLevel
+  std::vector<ViewLevel> makeViews(const Run& run, const PosePair& poses, const Resolution& resolution) const;
+
+  Moving moving() const { return moving_; }
+  /// What moves while both bodies move as one.
+  Moving together() const { return moving_ == Moving::TARGET ? moving_ : Moving::TOGETHER; }
+
+private:
+  cv::Rect region(const RegistrationView& view, const RigidTransform& room_from_patient) const;
+  void descendDerivativeFree(const Run& run, PosePair& poses) const;
+  void judge(const Run& run, const RestPrior& prior, const std::vector<ViewLevel>& fine, const Linearisation& at,
+             Outcome& outcome) const;
+
+  const Bodies& bodies_;
+  Eigen::AlignedBox3d box_;
+  double voxel_edge_;
+  RegistrationOptions options_;
+  std::unique_ptr<const Similarity> similarity_;
+  Moving moving_;
+};
+}  // namespace xray_tracking
