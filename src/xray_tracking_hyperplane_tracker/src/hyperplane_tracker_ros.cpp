@@ -197,7 +197,7 @@ void HyperplaneTrackerRos::diagnose(diagnostic_updater::DiagnosticStatusWrapper&
   status.add("exposures answered", now.exposures);
   status.add("exposures dropped, queue full", drops.full);
   status.add("exposures dropped, too slow", drops.overdue);
-  status.add("exposures dropped, stamp not newer", now.stale);
+  status.add("exposures dropped, stamp not newer or in the future", now.bad_stamps);
   status.add("processor time of the last exposure [ms]", now.cpu_ms);
   status.add("image to result, last exposure [ms]", now.wall_ms);
   status.add("image to result, longest since the last report [ms]", now.longest_wall_ms);

@@ -23,6 +23,8 @@ using xray_tracking_msgs::TrackedRegion;
 
 /// Time that stamps go back by when a bag starts again; less is a disorder of exposures.
 const ros::Duration kBackwardJump(1.0);
+/// How far in the future a stamp may be: beyond, the next good one would look like a bag that starts again.
+const ros::Duration kAhead = kBackwardJump;
 const TrackedRegion::_linear_type kIdentity = { 1.0, 0.0, 0.0, 1.0 };
 
 cv::Scalar stateColour(std::uint8_t state)
@@ -150,16 +152,19 @@ void HyperplaneTrackerRos::startAnew()
 
 bool HyperplaneTrackerRos::acceptStamp(const ros::Time& stamp)
 {
-  if (!last_stamp_.isZero() && stamp <= last_stamp_)
+  const ros::Time now = ros::Time::now();  // zero: simulated, and no clock has come yet
+  const bool ahead = !now.isZero() && stamp > now + kAhead;
+  const bool older = !last_stamp_.isZero() && stamp <= last_stamp_;
+  if (ahead || (older && last_stamp_ - stamp <= kBackwardJump))
   {
-    if (last_stamp_ - stamp <= kBackwardJump)
-    {
-      ROS_WARN_STREAM_THROTTLE(
-          1.0, pnh_.getNamespace() << " drops the exposure of " << stamp << ", expected a stamp after " << last_stamp_);
-      const std::lock_guard<std::mutex> lock(snapshot_mutex_);
-      ++snapshot_.stale;
-      return false;
-    }
+    ROS_WARN_STREAM_THROTTLE(1.0, pnh_.getNamespace() << " drops the exposure of " << stamp << ", expected a stamp "
+                                                      << (ahead ? "before " : "after ") << (ahead ? now : last_stamp_));
+    const std::lock_guard<std::mutex> lock(snapshot_mutex_);
+    ++snapshot_.bad_stamps;
+    return false;
+  }
+  if (older)
+  {
     ROS_WARN_STREAM(pnh_.getNamespace() << " starts anew: time went back from " << last_stamp_ << " to " << stamp);
     startAnew();
   }

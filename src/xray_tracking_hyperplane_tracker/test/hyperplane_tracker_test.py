@@ -75,6 +75,15 @@ class HyperplaneTrackerTest(TrackerTestCase):
         self.judge(detector.answer(), stamp, reference, (1.0, 2.0))
         self.judge(detector.answer(), after, reference, (3.0, 0.5))
 
+    def test_drops_exposures_of_the_future(self):
+        """One that went through would make the next good one look like a bag that starts again."""
+        detector = self.connect("parameter_region")
+        reference = self.restart(detector)
+        detector.send(rospy.Time.now().to_sec() + 3600.0, exposure(9.0, 9.0))
+        stamp = self.stamp()
+        detector.send(stamp, exposure(1.0, 2.0))
+        self.judge(detector.answer(), stamp, reference, (1.0, 2.0))
+
     def test_says_when_exposures_stop(self):
         detector = self.connect("parameter_region")
         self.restart(detector)

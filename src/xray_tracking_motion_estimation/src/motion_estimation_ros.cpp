@@ -24,9 +24,9 @@ constexpr std::size_t kHistoryCapacity = 1000;
 /// A stamp may be ahead by what two computers' clocks usually differ [ns].
 constexpr std::int64_t kMaxAhead = 5000000;
 
-/// Messages of a played bag are ahead of the last tick of its clock by up to a tick: 10 ms, times the playback's speed
-/// [ns].
-constexpr std::int64_t kClockTick = 50000000;
+/// Messages of a played bag are ahead of the last tick of its clock by up to a tick: 10 ms, times the playback's speed,
+/// which may be a hundred [ns].
+constexpr std::int64_t kClockTick = 1000000000;
 
 std::int64_t nanosecondsFromSeconds(double seconds)
 {

@@ -65,7 +65,7 @@ private:
     double wall_ms = 0.0;
     double longest_wall_ms = 0.0;  ///< since the last report
     std::size_t exposures = 0;
-    std::size_t stale = 0;  ///< exposures whose stamp was not newer
+    std::size_t bad_stamps = 0;  ///< exposures whose stamp was not newer, or in the future
     std::optional<ros::SteadyTime> last_arrival;
   };
   /// What the last report was, for what has happened since.
