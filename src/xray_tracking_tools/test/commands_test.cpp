@@ -46,7 +46,8 @@ TEST(SequenceToBag, convertsAndShowsProgress)
   writeTestSequence(folder);
   const CommandResult result = run("sequence_to_bag " + folder.file("") + " " + folder.file("out.bag") + " --frames 3");
   EXPECT_EQ(0, result.status) << result.output;
-  EXPECT_TRUE(contains(result.output, "exposure 3 / 3\n3 exposures, 0.5 s, detectors detector_a detector_b\n")) << result.output;
+  EXPECT_TRUE(contains(result.output, "exposure 3 / 3\n3 exposures, 0.5 s, detectors detector_a detector_b\n"))
+      << result.output;
   EXPECT_TRUE(std::filesystem::exists(folder.file("out.bag")));
 }
 
