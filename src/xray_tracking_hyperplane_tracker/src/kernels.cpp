@@ -12,21 +12,32 @@ namespace xray_tracking
 {
 namespace
 {
+/// Where a point is: the pixel and the parts of a pixel beyond it.
+struct Place
+{
+  int left, top;
+  float u, v;
+};
+
+inline Place placeOf(const PixelMap& m, float x, float y)
+{
+  const float column = m.xx * x + (m.xy * y + m.x0);
+  const float row = m.yx * x + (m.yy * y + m.y0);
+  const int left = static_cast<int>(column);
+  const int top = static_cast<int>(row);
+  return { left, top, column - static_cast<float>(left), row - static_cast<float>(top) };
+}
+
 void samplePlain(const std::uint16_t* pixels, std::size_t row_length, const float* x, const float* y,
                  std::ptrdiff_t begin, std::ptrdiff_t end, const PixelMap& m, float* values)
 {
   for (std::ptrdiff_t i = begin; i < end; ++i)
   {
-    const float column = m.xx * x[i] + (m.xy * y[i] + m.x0);
-    const float row = m.yx * x[i] + (m.yy * y[i] + m.y0);
-    const int left = static_cast<int>(column);
-    const int top = static_cast<int>(row);
-    const float u = column - static_cast<float>(left);
-    const float v = row - static_cast<float>(top);
-    const std::uint16_t* p = pixels + static_cast<std::size_t>(top) * row_length + left;
-    const float upper = p[0] + u * static_cast<float>(p[1] - p[0]);
-    const float lower = p[row_length] + u * static_cast<float>(p[row_length + 1] - p[row_length]);
-    values[i] = upper + v * (lower - upper);
+    const Place at = placeOf(m, x[i], y[i]);
+    const std::uint16_t* p = pixels + static_cast<std::size_t>(at.top) * row_length + at.left;
+    const float upper = p[0] + at.u * static_cast<float>(p[1] - p[0]);
+    const float lower = p[row_length] + at.u * static_cast<float>(p[row_length + 1] - p[row_length]);
+    values[i] = upper + at.v * (lower - upper);
   }
 }
 
@@ -35,14 +46,11 @@ void sampleSplinePlain(const std::uint16_t* pixels, std::size_t row_length, cons
 {
   for (std::ptrdiff_t i = begin; i < end; ++i)
   {
-    const float column = m.xx * x[i] + (m.xy * y[i] + m.x0);
-    const float row = m.yx * x[i] + (m.yy * y[i] + m.y0);
-    const int left = static_cast<int>(column);
-    const int top = static_cast<int>(row);
+    const Place at = placeOf(m, x[i], y[i]);
     float along_x[4], along_y[4];
-    splineWeights(column - static_cast<float>(left), along_x);
-    splineWeights(row - static_cast<float>(top), along_y);
-    const std::uint16_t* p = pixels + static_cast<std::size_t>(top - 1) * row_length + (left - 1);
+    splineWeights(at.u, along_x);
+    splineWeights(at.v, along_y);
+    const std::uint16_t* p = pixels + static_cast<std::size_t>(at.top - 1) * row_length + (at.left - 1);
     float sum = 0.f;
     for (int r = 0; r < 4; ++r, p += row_length)
     {

@@ -26,6 +26,7 @@ constexpr double kNeighbour = 18.0;   // where another vertebra is looked for, a
 constexpr double kAlikeMargin = 0.1;  // by which others must be less alike
 constexpr double kTurned = 3.0 * M_PI / 180.0;  // from the start: worth a try from its orientation
 constexpr double kMuchFarther = 15.0;  // from the start than what was found: the start itself speaks against it [mm]
+constexpr double kDescends = 5.0;      // nearer to the start: what begins farther off than this is not tried [mm]
 /// So far from the start only what is sure is believed; from half of that on more is asked.
 constexpr double kFar = 10.0;  // [mm]
 constexpr double kFarRotation = 5.0 * M_PI / 180.0;
@@ -143,6 +144,7 @@ private:
                                                          : request.room_from_patient * request.target_from_rest };
     const Linearisation before = linearise(descender_->makeViews(run, start, kFine), *bodies_, start, Moving::TARGET);
     result.similarity_before = before.meanSimilarity();
+    // What cannot be compared at the start is the request's fault, later on a descent's: refused as INVALID here alone.
     descender_->makeViews(run, start, kCoarse);
 
     const bool near = options_.optimiser == Optimiser::GAUSS_NEWTON &&
@@ -239,7 +241,7 @@ private:
       }
       const double farthest = run.control.distance(best.poses.target) + kMuchFarther;
       if (!run.control.inBounds(there.target) || (side == 0.0 && rotationAngle(start.inverse() * found) < kTurned) ||
-          run.control.distance(there.target) > farthest + 5.0)
+          run.control.distance(there.target) > farthest + kDescends)
       {
         continue;
       }
