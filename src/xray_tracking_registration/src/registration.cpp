@@ -16,7 +16,6 @@ namespace xray_tracking
 {
 namespace
 {
-constexpr double kUsualMagnification = 1.45;  // of a treatment room's detectors; only how smooth DRRs are hangs on it
 constexpr Descent kTry{ 6, 1e-2 };
 /// Views as similar as this at the start are near enough for the fine level alone.
 constexpr double kNearlyThere = 0.5;
@@ -52,6 +51,11 @@ void check(const RegistrationRequest& request)
       throw std::invalid_argument(message("view ", view.geometry.name(), ": the image has ", view.image.cols, " x ",
                                           view.image.rows, " pixels: expected ", size.x(), " x ", size.y()));
     }
+    if (!view.usable.empty() && (view.usable.size() != view.image.size() || view.usable.type() != CV_8UC1))
+    {
+      throw std::invalid_argument("view " + view.geometry.name() +
+                                  ": usable: expected nothing, or 8 bits a pixel of the image");
+    }
   }
   if (!isRigid(request.room_from_patient) || !isRigid(request.target_from_rest))
   {
@@ -80,7 +84,7 @@ public:
     {
       throw std::invalid_argument("target box: expected finite corners, min below max");
     }
-    bodies_ = std::make_unique<const Bodies>(bodies, box, kFine.bin_mm / kUsualMagnification, options.projector);
+    bodies_ = std::make_unique<const Bodies>(bodies, box, kFine.bin_mm, options.projector);
     const double voxel = std::cbrt(std::abs(bodies.target.grid.patient_from_index.linear().determinant()));
     descender_ = std::make_unique<const Descender>(*bodies_, box, voxel, options);
   }

@@ -62,6 +62,7 @@ struct RegistrationView
   ProjectionGeometry geometry;
   cv::Mat image;      ///< as attenuationImage() takes it, of the geometry's size
   cv::Rect region{};  ///< pixels to compare; empty: where the target box is seen from the start
+  cv::Mat usable{};   ///< CV_8UC1 of the image's size, 0 for pixels that do not count; empty: all do
 };
 
 /// How far a registration has come.
@@ -84,7 +85,7 @@ struct RegistrationRequest
   /// Of the target's centre from the start, > 0 [mm]. The tighter the better: beyond 18 mm the next vertebra is in
   /// question too.
   double max_translation_mm = 30.0;
-  double max_rotation_rad = 0.26;    ///< from the start, > 0, at most pi [rad]
+  double max_rotation_rad = 0.26;  ///< from the start, > 0, at most pi [rad]
   std::chrono::duration<double> time_budget{ 5.0 };
   /// Called before every rendering of a pose, from run()'s thread; returns whether to go on. May be empty.
   std::function<bool(const RegistrationProgress&)> progress;
@@ -108,6 +109,9 @@ struct ViewResidual
   /// By how much the view alone would move the target along what it sees best, two directions across its central ray
   /// [mm]: large where the views do not agree.
   double pull_mm = 0.0;
+  /// How the attenuation saturates by scatter, hardening and glare: k of (1 - exp(-k L)) / k for the line integral L; 0
+  /// to 3, 0 for an ideal beam, estimated along. Where the image does not tell it, near 0.2.
+  double saturation = 0.0;
 };
 
 struct RegistrationResult
