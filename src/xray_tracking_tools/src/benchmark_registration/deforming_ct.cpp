@@ -13,6 +13,7 @@ namespace xray_tracking
 namespace
 {
 constexpr double kWaveLength = 150.0;  // [mm]
+constexpr double kLongest = 1000.0;    // way through the body [mm]
 constexpr double kAir = -1000.0;       // [HU]
 
 /// Trilinear; `outside` beyond the outermost voxel centres.
@@ -34,17 +35,18 @@ double valueAt(const VolumeGrid& grid, const std::vector<Value>& values, const E
   return near + part.z() * (far - near);
 }
 
-/// Extends [first, last] by where the ray of indices runs through the grid.
+/// Extends [first, last] by where the ray of indices runs through the grid's slices, which go on beyond its ends.
 void extendBy(const VolumeGrid& grid, const Eigen::Vector3d& source, const Eigen::Vector3d& direction, double& first,
               double& last)
 {
-  const Eigen::Array3d a = -source.array() / direction.array();
-  const Eigen::Array3d b = (grid.size.cast<double>() - Eigen::Vector3d::Ones() - source).array() / direction.array();
-  const double enter = a.min(b).maxCoeff();
-  const double exit = a.max(b).minCoeff();
+  const Eigen::Array2d size = grid.size.head<2>().cast<double>().array() - 1.0;
+  const Eigen::Array2d a = -source.head<2>().array() / direction.head<2>().array();
+  const Eigen::Array2d b = (size - source.head<2>().array()) / direction.head<2>().array();
+  const double enter = std::max(0.0, a.min(b).maxCoeff());
+  const double exit = std::min(a.max(b).minCoeff(), enter + kLongest);
   if (exit > enter)
   {
-    first = std::min(first, std::max(0.0, enter));
+    first = std::min(first, enter);
     last = std::max(last, exit);
   }
 }
@@ -89,6 +91,8 @@ Materials DeformingCt::along(const Ray& ray, const BodyPoses& poses) const
       index = weight * index + (1.0 - weight) * (rest_source + length * rest_direction +
                                                  std::sin(phase_source + length * phase_direction) * wave);
     }
+    // A body does not end with its scan: the last slices go on.
+    index.z() = std::clamp(index.z(), 0.0, ct_->grid.size.z() - 1.001);
     const double hu = valueAt(ct_->grid, ct_->hu, index, kAir);
     if (hu > kAir)
     {

@@ -98,7 +98,7 @@ RandomDetectors::RandomDetectors(std::mt19937& random, const std::vector<Project
     cv::Mat field(size, CV_32FC1, cv::Scalar(1.0));
     if (blades)
     {
-      const auto margin = [&](int edge) { return static_cast<int>(std::lround(edge * between(random, -0.08, 0.5))); };
+      const auto margin = [&](int edge) { return static_cast<int>(std::lround(edge * between(random, -0.05, 0.5))); };
       const cv::Point first = region.tl() - cv::Point(margin(region.width), margin(region.height));
       const cv::Point last = region.br() + cv::Point(margin(region.width), margin(region.height));
       field.setTo(0.0);

@@ -19,6 +19,7 @@ namespace xray_tracking
 namespace
 {
 constexpr double kEverything = 1e4;  // [mm]
+constexpr double kFromEnds = 18.0;   // of a scan, for a target [mm]
 
 Eigen::AlignedBox3d grown(const Eigen::AlignedBox3d& box, double margin)
 {
@@ -56,10 +57,14 @@ double boneShare(const Scans::Scan& scan, const Eigen::AlignedBox3d& box)
 Eigen::AlignedBox3d randomBox(std::mt19937& random, const Scans::Scan& scan)
 {
   const Eigen::AlignedBox3d extent = extentOf(scan.ct->grid);
+  // Its slices go on beyond the ends only as they are there.
+  Eigen::AlignedBox3d inner = extent;
+  inner.min().z() += kFromEnds;
+  inner.max().z() -= kFromEnds;
   const bool most = withProbability(random, 0.6);
   for (int attempt = 0; attempt < 1000; ++attempt)
   {
-    const double edge = most ? betweenLog(random, 25.0, 80.0) : betweenLog(random, 15.0, 150.0);
+    const double edge = most ? betweenLog(random, 30.0, 80.0) : betweenLog(random, 15.0, 150.0);
     const Eigen::Vector3d half =
         0.5 * edge * Eigen::Vector3d(between(random, 0.8, 1.3), between(random, 0.8, 1.3), between(random, 0.6, 1.3));
     Eigen::AlignedBox3d best;
@@ -70,7 +75,7 @@ Eigen::AlignedBox3d randomBox(std::mt19937& random, const Scans::Scan& scan)
       const Eigen::AlignedBox3d box(centre - half, centre + half);
       const bool judged = std::any_of(scan.kept.begin(), scan.kept.end(),
                                       [&](const Eigen::AlignedBox3d& kept) { return kept.contains(centre); });
-      if (extent.contains(box) && !judged && boneShare(scan, box) > share)
+      if (inner.contains(box) && !judged && boneShare(scan, box) > share)
       {
         share = boneShare(scan, box);
         best = box;
