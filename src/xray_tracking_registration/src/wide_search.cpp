@@ -16,10 +16,6 @@ constexpr double kBehind = 0.1;  // in PoseSearch::similarity(): places that are
 constexpr double kMet = 1.0;     // [mm]
 /// Ends nearer to each other than this share of the target's size are one place, not well told: no rivals.
 constexpr double kApart = 0.25;
-/// A rival with more than this share of the answer's similarity is as good. The right place's rivals have 0.2 to 0.6 of
-/// it (phantom, thorax), 0.69 (wrist), 0.85 where the next vertebra is most like it.
-constexpr double kAsGood = 0.85;
-
 }  // namespace
 
 Found searchAround(const Run& run, const Bodies& bodies, const Descender& descender,
@@ -82,12 +78,9 @@ Found searchAround(const Run& run, const Bodies& bodies, const Descender& descen
                                rotationAngle(found.answer.poses.target.inverse() * end.poses.target), end.similarity });
     }
   }
-  if (found.answer.doubt.empty() && !found.rivals.empty() &&
-      found.rivals.front().similarity > kAsGood * found.answer.similarity)
+  if (!found.rivals.empty())
   {
-    const Rival& rival = found.rivals.front();
-    found.answer.doubt = message("a place ", rival.distance_mm, " mm and ", rival.rotation_rad,
-                                 " rad away is as similar: ", rival.similarity, ", here ", found.answer.similarity);
+    doubtIfRivalled(found.rivals.front(), found.answer);
   }
   return found;
 }
