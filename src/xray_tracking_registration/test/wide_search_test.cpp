@@ -190,7 +190,7 @@ TEST_F(WideSearch, SlidesRenderingsRightly)
     {
       attenuationImage(request.views[v].image, request.intensity, attenuation[v]);
     }
-    const Run run{ request, attenuation, control };
+    const xray_tracking::Run run{ request, attenuation, control };
     const PosePair start{ request.room_from_patient, request.room_from_patient };
     const PoseSearch search(run, bodies, phantom_.targetBox(), start, { 45.0, 0.31 }, Moving::TOGETHER);
     const std::vector<Place> places = search.places(10);
