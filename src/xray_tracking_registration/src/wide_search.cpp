@@ -36,7 +36,7 @@ Found searchAround(const Run& run, const Bodies& bodies, const Descender& descen
   double similarity = 0.0;  // of the answer, as the search has it
   int descents = 0;
   bool met = false;    // two descents, where the answer is
-  bool rival = false;  // has been looked for elsewhere
+  bool rival = false;  // is known
   for (const Place& place : search.places(kPlaces))
   {
     if (descents == kDescents || run.control.stop() != RunControl::Stop::NONE)
@@ -56,8 +56,9 @@ Found searchAround(const Run& run, const Bodies& bodies, const Descender& descen
     }
     Outcome end = descender.descend(run, place.poses, Path::COARSE);
     ++descents;
-    rival = rival || settled;
-    const bool there = apart(end.poses, found.answer.poses) < kMet;
+    const double from_answer = apart(end.poses, found.answer.poses);
+    rival = rival || (settled && from_answer > distinct);
+    const bool there = from_answer < kMet;
     if (end.similarity > found.answer.similarity)
     {
       found.answer = end;

@@ -123,7 +123,7 @@ TEST_F(WideSearch, SaysIfAViewSeesNothingOfTheNeighbourhood)
 {
   RegistrationRequest request = expose();
   Twist away = Twist::Zero();
-  away.tail<3>() << 0.0, 0.0, -5000.0;  // behind the sources
+  away.tail<3>() << 0.0, 0.0, 5000.0;  // behind the sources
   request.room_from_patient = moved(request.room_from_patient, away);
   RegistrationResult result = registration_.run(request);
   EXPECT_EQ(result.status, RegistrationStatus::INVALID);
@@ -173,8 +173,8 @@ TEST_F(WideSearch, RefusesBadRequests)
   refused(request, "detector_b");
 }
 
-/// What the grid has of a place is what comparing there alone gives; also where the CT's ends leave parts out, and
-/// again and again.
+/// What sliding a rendering gives for no shift is what comparing there alone gives; also where the CT's ends leave
+/// parts out, and of every orientation.
 TEST_F(WideSearch, SlidesRenderingsRightly)
 {
   PhantomCtOptions short_ct;
@@ -192,24 +192,21 @@ TEST_F(WideSearch, SlidesRenderingsRightly)
     }
     const xray_tracking::Run run{ request, attenuation, control };
     const PosePair start{ request.room_from_patient, request.room_from_patient };
-    const PoseSearch search(run, bodies, phantom_.targetBox(), start, { 45.0, 0.31 }, Moving::TOGETHER);
-    const std::vector<Place> places = search.places(10);
-    ASSERT_EQ(places.size(), 10u);
-    // The truth is a point of the grid, and the renderings there are of whole bins.
-    EXPECT_LT(targetRegistrationError(places[0].poses.target, start.target, phantom_.targetBox()), 1e-6);
-    EXPECT_NEAR(places[0].similarity, search.similarity(start), 1e-3);
-    EXPECT_LT(places[0].similarity, 1.0);
-    EXPECT_GT(places[0].similarity, places[1].similarity + 0.02);
-    const std::vector<Place> again = search.places(10);
+    // No translation but none.
+    const PoseSearch search(run, bodies, phantom_.targetBox(), start, { 0.5, 0.31 }, Moving::TOGETHER);
+    const std::vector<Place> places = search.places(20);
+    ASSERT_EQ(places.size(), 20u);
     for (std::size_t n = 0; n < places.size(); ++n)
     {
-      EXPECT_EQ(places[n].similarity, again[n].similarity);
+      EXPECT_NEAR(places[n].similarity, search.similarity(places[n].poses), 1e-4) << n;
+      EXPECT_LT(places[n].similarity, n == 0 ? 1.0 : places[n - 1].similarity + 1e-9);
       for (std::size_t m = 0; m < n; ++m)
       {
         EXPECT_GT(targetRegistrationError(places[n].poses.target, places[m].poses.target, phantom_.targetBox()),
                   search.separation());
       }
     }
+    EXPECT_GT(search.similarity(start), 0.8);
   }
 }
 
@@ -231,7 +228,7 @@ TEST(WideSearchOfRealImages, FindsThePose)
   };
   for (const Case& one : { Case{ "portal_real/pair_20", 0, 35.0, 1.2 }, Case{ "portal_real/pair_16", 0, 35.0, 1.2 },
                            Case{ "portal_real/three", 0, 35.0, 1.2 }, Case{ "wrist_real", 2, 15.0, 1.0 },
-                           Case{ "knee_real", 7, 30.0, 1.0 } })
+                           Case{ "knee_real", 35, 30.0, 1.0 } })
   {
     const std::string path = std::string(folder) + "/sequences/" + one.sequence;
     if (!std::filesystem::exists(path))

@@ -5,6 +5,7 @@
 #include "benchmark_registration/mask_picture.h"
 #include "benchmark_registration/random_trials.h"
 #include "benchmark_registration/real_sequences.h"
+#include "benchmark_registration/wide_starts.h"
 #include "xray_tracking_core/volume/body_model.h"
 #include "xray_tracking_core/volume/target_mask.h"
 #include "xray_tracking_tools/command_line.h"
