@@ -67,8 +67,9 @@ int alignSequence(const po::variables_map& arguments)
        << " degrees from the initial pose, similarity " << result.similarity_after;
   if (result.status != RegistrationStatus::SUCCESS)
   {
-    throw std::runtime_error("the first exposure's pose was not found: " + result.reason + "; the best is " +
-                             what.str() + "; " + rivalsInWords(result));
+    throw std::runtime_error(
+        "the first exposure's pose was not found: " + result.reason +
+        (result.views.empty() ? "" : "; the best is " + what.str() + "; " + rivalsInWords(result)));
   }
   setup.room_from_patient = result.room_from_patient;
   saveTreatmentSetup(setup, arguments["OUT.yaml"].as<std::string>());
