@@ -87,6 +87,14 @@ std::vector<RegistrationView> viewsOf(const StoredExposure& exposure, const Trea
   return views;
 }
 
+Search searchOf(const RefinementRequest& message)
+{
+  const bool wide = message.search == "wide";
+  requireOption(wide || message.search.empty() || message.search == "near", "search", message.search,
+                "near, wide or nothing, which is near");
+  return wide ? Search::WIDE : Search::NEAR;
+}
+
 void applyRequest(const RefinementRequest& message, RegistrationRequest& request)
 {
   try

@@ -77,9 +77,12 @@ enum class Search
   WIDE   ///< it may be anywhere within the bounds: searches all of them, and says what else is alike
 };
 
-/// Bounds of a wide search: time grows with their third powers.
-constexpr double kMaxSearch = 100.0;        ///< [mm]
-constexpr double kMaxSearchRotation = 0.8;  ///< [rad]
+/// Bounds of a wide search [mm, rad]: what 25 mm and 10 degrees along and about every axis come to, and the widest;
+/// time grows with their third powers.
+constexpr double kUsualSearch = 45.0;
+constexpr double kUsualSearchRotation = 0.31;
+constexpr double kMaxSearch = 100.0;
+constexpr double kMaxSearchRotation = 0.8;
 
 struct RegistrationRequest
 {
