@@ -105,9 +105,7 @@ RegistrationParameters readRegistrationParameters(const ros::NodeHandle& pnh)
   read(reader, "mask/file", parameters.mask_file);
   readNamed(reader, "optimiser", kOptimisers, parameters.options.optimiser);
   read(reader, "similarity", parameters.options.similarity);
-  read(reader, "min_similarity", parameters.options.min_similarity);
-  read(reader, "min_coarse_similarity", parameters.options.min_coarse_similarity);
-  readMetres(reader, "max_deviation", parameters.options.max_deviation_mm);
+  read(reader, "min_probability", parameters.options.min_probability);
   parameters.options.validate();
   readMetres(reader, "max_translation", parameters.max_translation_mm);
   requireOption(parameters.max_translation_mm > 0.0, "max_translation",

@@ -20,10 +20,6 @@ constexpr int kMeetings = 3;
 // is farther away than both.
 constexpr double kNearby = 0.6;
 constexpr double kSame = 0.3;
-/// A rival with more than this share of the answer's similarity is as good. The right place's rivals have 0.2 to 0.6 of
-/// it (phantom, thorax), 0.69 (wrist), 0.85 where the next vertebra is most like it.
-constexpr double kAsGood = 0.85;
-
 }  // namespace
 
 Found searchAround(const Run& run, const Bodies& bodies, const Descender& descender,
@@ -91,12 +87,9 @@ Found searchAround(const Run& run, const Bodies& bodies, const Descender& descen
                                rotationAngle(found.answer.poses.target.inverse() * end.poses.target), end.similarity });
     }
   }
-  if (found.answer.doubt.empty() && !found.rivals.empty() &&
-      found.rivals.front().similarity > kAsGood * found.answer.similarity)
+  if (!found.rivals.empty())
   {
-    const Rival& rival = found.rivals.front();
-    found.answer.doubt = message("a place ", rival.distance_mm, " mm and ", rival.rotation_rad,
-                                 " rad away is as similar: ", rival.similarity, ", here ", found.answer.similarity);
+    doubtIfRivalled(found.rivals.front(), found.answer);
   }
   return found;
 }
