@@ -7,20 +7,37 @@ table, and says of every table what would be believed. See docs/belief.md.
 """
 import argparse
 import csv
+import math
 import sys
 
 import numpy
 
-BELIEVED_TRE_MM = 1.5  # what a believed result is not off by; kBelievedTre of belief.h
+BELIEVED_TRE_MM = 1.5  # what a believed result is not off by; kBelievedError of registration.h
 RIGHT_TRE_MM = 1.0
 
-# Name in the table, what the model is given of it, and the sign that its coefficient must have: +1 if more of it speaks
-# for the result, -1 if against. The same transformations as in belief.cpp.
-FIGURES = (
-    ('deviation', lambda row: numpy.log(max(row['deviation_mm'], 0.01)), -1),
-    ('similarity_least', lambda row: numpy.arctanh(numpy.clip(row['similarity_least'], -0.99, 0.99)), 1),
-    ('coarse_least', lambda row: numpy.arctanh(numpy.clip(row['coarse_least'], -0.99, 0.99)), 1),
-    ('pull', lambda row: numpy.log(max(row['pull_mean'], 0.01)), -1),
+def stretched(similarity):
+    return math.atanh(min(max(similarity, -0.999), 0.999))
+
+
+def log_of(value, least):
+    return math.log(max(value, least))
+
+
+def margin(row):
+    if row['here'] <= 0.0:
+        return -1.0
+    return min(max((row['here'] - row['rival']) / row['here'], -1.0), 1.0)
+
+
+# The terms of belief.cpp: name, what the model is given of the figures, and the sign that its weight must have: +1 if
+# more of it speaks for the result, -1 if against.
+TERMS = (
+    ('expected error', lambda row: log_of(row['expected_error_mm'], 0.01), -1),
+    ('similarity', lambda row: stretched(row['least_similarity']), 1),
+    ('coarse similarity', lambda row: stretched(row['least_coarse_similarity']), 1),
+    ("views' disagreement", lambda row: log_of(row['pull_mm'], 0.01), -1),
+    ('distinctness', lambda row: log_of(row['distinctness'], 0.5), 1),
+    ('margin over other places', margin, 1),
 )
 
 
@@ -36,7 +53,7 @@ def read_table(path):
 
 
 def features(rows):
-    return numpy.array([[figure(row) for _, figure, _ in FIGURES] for row in rows])
+    return numpy.array([[figure(row) for _, figure, _ in TERMS] for row in rows])
 
 
 def errors(rows):
@@ -51,7 +68,7 @@ def fit(values, right, ridge):
     """Intercept and coefficients by Newton's method. Figures whose coefficient has the wrong sign are left out."""
     mean, deviation = values.mean(axis=0), values.std(axis=0) + 1e-9
     scaled = numpy.column_stack([numpy.ones(len(values)), (values - mean) / deviation])
-    signs = numpy.array([sign for _, _, sign in FIGURES])
+    signs = numpy.array([sign for _, _, sign in TERMS])
     used = numpy.ones(scaled.shape[1], bool)
     while True:
         part = scaled[:, used]
@@ -113,7 +130,7 @@ def main():
     rows = [row for path in arguments.learn for row in read_table(path)]
     coefficients = fit(features(rows), errors(rows) < BELIEVED_TRE_MM, arguments.ridge)
     print('{ "intercept", %.4g },' % coefficients[0])
-    for (name, _, _), coefficient in zip(FIGURES, coefficients[1:]):
+    for (name, _, _), coefficient in zip(TERMS, coefficients[1:]):
         print('{ "%s", %.4g },' % (name, coefficient))
     print('\n%-28s %5s %7s %8s %7s %8s   %s' % ('', 'n', '< 1 mm', 'bel. %', '> 1.5', 'believed', 'Brier'))
     judge('learnt on', rows, coefficients, arguments.threshold)

@@ -131,7 +131,7 @@ RandomAnatomy scannedAnatomy(std::mt19937& random, const Scans::Scan& scan, bool
     const TargetMaskOptions rigid{ 180.0, 2.0, 3.0, 25.0 };
     const double wave = between(random, 0.0, 4.0);
     made.anatomy = std::make_shared<DeformingCt>(scan.ct, targetMaskFromBone(scan.coarse, made.box, rigid), wave,
-                                                 0.5 * std::min(1.0, scan.ct->grid.spacing().minCoeff()));
+                                                 0.9 * std::min(1.0, scan.ct->grid.spacing().minCoeff()));
   }
   // What is registered is coarser than what is X-rayed.
   const Eigen::Vector3d spacing = scan.ct->grid.spacing();
@@ -177,11 +177,11 @@ RandomAnatomy limbAnatomy(std::mt19937& random, Limb::Kind kind)
   return made;
 }
 
-/// Lengths of the materials in all pixels; of what is not sharp, from a grid of 0.6 mm at the target.
+/// Lengths of the materials in all pixels; of what is not sharp, from a grid of 0.8 mm at the target.
 void materialsOf(const RandomAnatomy& anatomy, const ProjectionGeometry& geometry, const BodyPoses& poses,
                  cv::Mat& soft, cv::Mat& bone)
 {
-  const double grid = anatomy.exact ? 0.2 : 0.6;
+  const double grid = anatomy.exact ? 0.3 : 0.8;
   const double pixel = geometry.pixelPitch().x() / geometry.magnification(Eigen::Vector3d::Zero());
   const cv::Size size(geometry.imageSize().x(), geometry.imageSize().y());
   if (pixel >= grid)
@@ -247,8 +247,12 @@ RandomAnatomy randomAnatomy(std::mt19937& random, const Scans& scans, bool xraye
 
 BodyModel bodiesOf(const RandomAnatomy& anatomy)
 {
-  return anatomy.two_bodies ? splitBodies(anatomy.ct, targetMaskFromBone(anatomy.ct, anatomy.box))
-                            : oneBody(anatomy.ct);
+  std::optional<TargetMask> mask;
+  if (anatomy.two_bodies)
+  {
+    mask = targetMaskFromBone(anatomy.ct, anatomy.box);
+  }
+  return bodiesOf(anatomy.ct, mask, CtContent::RECOGNISED);
 }
 
 RandomSubject randomSubject(std::mt19937& random, const Scans& scans)
@@ -262,7 +266,7 @@ RandomSubject randomSubject(std::mt19937& random, const Scans& scans)
   RigidTransform nominal = RigidTransform::Identity();
   nominal.linear() = rotationFromVector(between(random, 0.0, EIGEN_PI) * randomDirection(random));
   nominal.translation() = -(nominal.linear() * box.center());
-  const double field = box.sizes().norm() + 2.0 * between(random, 8.0, 60.0);
+  const double field = box.sizes().norm() + 2.0 * between(random, 8.0, 35.0);
   setup.detectors = randomRoom(random, nominal.linear() * Eigen::Vector3d::UnitZ(), field);
   setup.room_from_patient = nominal;
   std::vector<cv::Rect> regions;

@@ -6,7 +6,7 @@
 #include <vector>
 
 #include "subject.h"
-#include "xray_tracking_core/volume/body_model.h"
+#include "xray_tracking_core/volume/ct_content.h"
 #include "xray_tracking_detector_simulator/anatomy.h"
 
 namespace xray_tracking

@@ -7,7 +7,7 @@
 
 #include "starts.h"
 #include "xray_tracking_core/evaluation/evaluation.h"
-#include "xray_tracking_core/volume/body_model.h"
+#include "xray_tracking_core/volume/ct_content.h"
 #include "xray_tracking_core/volume/target_mask.h"
 
 namespace fs = std::filesystem;
@@ -147,8 +147,9 @@ std::vector<FigureTable> measureRealSequences(const std::string& folder, const R
     Subject subject = sequenceSubject(path.string());
     const std::string reference = referenceUncertainty(path);
     const std::string name = fs::relative(path, folder).string();
-    const Registration registration(splitBodies(subject.ct, targetMaskFromBone(subject.ct, subject.box())),
-                                    subject.box(), options);
+    const Registration registration(
+        bodiesOf(subject.ct, targetMaskFromBone(subject.ct, subject.box()), subject.exposures.setup.ct_content),
+        subject.box(), options);
     subject.name = name;
     const auto& gold = subject.exposures.room_from_patient;
     std::vector<RigidTransform> first_poses;
