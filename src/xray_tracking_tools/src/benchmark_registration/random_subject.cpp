@@ -89,6 +89,26 @@ Eigen::AlignedBox3d randomBox(std::mt19937& random, const Scans::Scan& scan)
   throw std::runtime_error(scan.name + ": no box with bone found");
 }
 
+/// Share that moves with the target: all bone in the box, and what is next to it.
+TargetMask rigidWith(const CtVolume& ct, const Eigen::AlignedBox3d& box)
+{
+  const TargetMaskOptions options{ 180.0, 2.0, 3.0, 25.0 };
+  CtVolume labels = ct;
+  for (int k = 0; k < ct.grid.size.z(); ++k)
+  {
+    for (int j = 0; j < ct.grid.size.y(); ++j)
+    {
+      for (int i = 0; i < ct.grid.size.x(); ++i)
+      {
+        const std::size_t n = ct.grid.offset(i, j, k);
+        labels.hu[n] =
+            ct.hu[n] > options.threshold_hu && box.contains(ct.grid.patient_from_index * Eigen::Vector3d(i, j, k));
+      }
+    }
+  }
+  return targetMaskFromLabels(ct.grid, labels, 1, options);
+}
+
 /// The target's bone alone, air around it.
 void cutOut(CtVolume& ct, const TargetMask& mask)
 {
@@ -128,9 +148,8 @@ RandomAnatomy scannedAnatomy(std::mt19937& random, const Scans::Scan& scan, bool
   made.name = scan.name;
   if (xrayed)
   {
-    const TargetMaskOptions rigid{ 180.0, 2.0, 3.0, 25.0 };
     const double wave = between(random, 0.0, 4.0);
-    made.anatomy = std::make_shared<DeformingCt>(scan.ct, targetMaskFromBone(scan.coarse, made.box, rigid), wave,
+    made.anatomy = std::make_shared<DeformingCt>(scan.ct, rigidWith(scan.coarse, made.box), wave,
                                                  0.9 * std::min(1.0, scan.ct->grid.spacing().minCoeff()));
   }
   // What is registered is coarser than what is X-rayed.
