@@ -87,6 +87,14 @@ std::vector<RegistrationView> viewsOf(const StoredExposure& exposure, const Trea
   return views;
 }
 
+Search searchOf(const RefinementRequest& message)
+{
+  const bool wide = message.search == "wide";
+  requireOption(wide || message.search.empty() || message.search == "near", "search", message.search,
+                "near, wide or nothing, which is near");
+  return wide ? Search::WIDE : Search::NEAR;
+}
+
 void applyRequest(const RefinementRequest& message, RegistrationRequest& request)
 {
   try
@@ -141,6 +149,7 @@ RefinementResult resultMessage(const RegistrationResult& result, const Eigen::Ve
                 "the library's states begin the message's");
   RefinementResult message = resultMessage(static_cast<std::uint8_t>(result.status), result.reason);
   message.pose = poseWithCovarianceMsg(result.room_from_patient, poseCovariance(result, target_centre));
+  message.probability = finiteOrZero(result.probability);
   message.similarity_before = finiteOrZero(result.similarity_before);
   message.similarity_after = finiteOrZero(result.similarity_after);
   message.iterations = static_cast<std::uint32_t>(result.iterations);
@@ -152,6 +161,15 @@ RefinementResult resultMessage(const RegistrationResult& result, const Eigen::Ve
     residual.noise = finiteOrZero(view.noise);
     residual.pull = finiteOrZero(view.pull_mm) / kMillimetresPerMetre;
     message.views.push_back(residual);
+  }
+  for (const Rival& rival : result.rivals)
+  {
+    xray_tracking_msgs::RivalPose rival_message;
+    rival_message.pose = poseMsgFromRigid(rival.room_from_patient);
+    rival_message.distance = rival.distance_mm / kMillimetresPerMetre;
+    rival_message.rotation = rival.rotation_rad;
+    rival_message.similarity = finiteOrZero(rival.similarity);
+    message.rivals.push_back(rival_message);
   }
   message.time = ros::Duration(result.duration.count());
   return message;
