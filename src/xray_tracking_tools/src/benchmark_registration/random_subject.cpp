@@ -190,6 +190,7 @@ RandomAnatomy limbAnatomy(std::mt19937& random, Limb::Kind kind)
   made.name = kind == Limb::Kind::IMPLANT ? "implant" : "forearm";
   made.anatomy = limb;
   made.exact = true;
+  made.symmetric = true;
   made.box = limb->box();
   const double voxel = between(random, 0.4, 1.2);
   made.ct = limb->segmentedCt(voxel, between(random, 0.4, 1.5), withProbability(random, 0.5));

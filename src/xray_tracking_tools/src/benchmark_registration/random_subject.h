@@ -39,6 +39,7 @@ struct RandomAnatomy
   std::string name;
   std::shared_ptr<const Anatomy> anatomy;
   bool exact = false;           ///< sharp: X-rays are sampled at every pixel
+  bool symmetric = false;       ///< nearly: mirrored or turned by half it looks the same
   bool target_is_rest = false;  ///< of the phantom: the target moves with its other body
   CtVolume ct;
   Eigen::AlignedBox3d box;

@@ -93,6 +93,10 @@ private:
 
   void addWrong(Wrong what)
   {
+    if (subject_.anatomy.symmetric && (what == Wrong::UPSIDE_DOWN || what == Wrong::MIRRORED))
+    {
+      return;
+    }
     const std::string kind = kWrongNames[static_cast<std::size_t>(what)];
     const Twist little = randomTwist(random_, between(random_, 0.0, 5.0) * kDegree, between(random_, 0.0, 6.0));
     RegistrationRequest wrong = request(0, little);
