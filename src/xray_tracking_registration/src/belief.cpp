@@ -29,18 +29,25 @@ double ratioOf(const BeliefFigures& figures)
   return figures.here > 0.0 ? std::clamp((figures.here - figures.rival) / figures.here, -1.0, 1.0) : -1.0;
 }
 
-/// docs/belief.md says on what these were learnt and judged.
 constexpr double kLeast = 1e-4;
-constexpr double kOffset = 0.0;
+/// docs/belief.md says on what these were learnt and judged; fit_belief.py prints them.
+constexpr double kOffset = 0.00689;
 const std::array<Term, 6> kTerms = { {
-    { "expected error", [](const BeliefFigures& f) { return std::log(std::max(f.expected_error_mm, 0.01)); }, -1.2,
-      -4.0 },
-    { "similarity", [](const BeliefFigures& f) { return stretched(f.least_similarity); }, 0.33, 12.0 },
-    { "coarse similarity", [](const BeliefFigures& f) { return stretched(f.least_coarse_similarity); }, 0.4, 1.0 },
-    { "views' disagreement", [](const BeliefFigures& f) { return std::log(std::max(f.pull_mm, 0.01)); }, -1.5, -0.5 },
-    { "distinctness", [](const BeliefFigures& f) { return std::log(std::max(f.distinctness, 0.5)); }, 2.2, 4.0 },
-    { "margin over other places", [](const BeliefFigures& f) { return ratioOf(f); }, 0.2, 2.0 },
+    { "expected error", [](const BeliefFigures& f) { return std::log(std::max(f.expected_error_mm, 0.1)); }, -0.489,
+      -2.84 },
+    { "similarity", [](const BeliefFigures& f) { return stretched(f.least_similarity); }, 0.408, 2.37 },
+    { "coarse similarity", [](const BeliefFigures& f) { return stretched(f.least_coarse_similarity); }, 0.43, 0.644 },
+    { "views' disagreement", [](const BeliefFigures& f) { return std::log(std::max(f.pull_mm, 0.03)); }, -1.71,
+      -0.251 },
+    { "distinctness", [](const BeliefFigures& f) { return std::log(std::max(f.distinctness, 0.5)); }, 1.87, 2.04 },
+    { "margin over other places", [](const BeliefFigures& f) { return ratioOf(f); }, 0.126, 0.435 },
 } };
+
+/// How probable it is that an error of the expected size, along one direction, stays below the limit.
+double within(double expected_error_mm)
+{
+  return std::erf(kBelievedError / (std::sqrt(2.0) * std::max(expected_error_mm, 0.01)));
+}
 }  // namespace
 
 double probabilityOf(const BeliefFigures& figures)
@@ -50,8 +57,10 @@ double probabilityOf(const BeliefFigures& figures)
   {
     odds += term.weight * (term.of(figures) - term.centre);
   }
-  // Neither 0 nor 1: nothing was learnt from so many that more could be said.
-  const double probability = std::clamp(1.0 / (1.0 + std::exp(-odds)), kLeast, 1.0 - kLeast);
+  // At the right place, and not too far off there. Neither 0 nor 1: nothing was learnt from so many that more could be
+  // said.
+  const double probability =
+      std::clamp(within(figures.expected_error_mm) / (1.0 + std::exp(-odds)), kLeast, 1.0 - kLeast);
   return std::isfinite(odds) ? probability : 0.0;
 }
 

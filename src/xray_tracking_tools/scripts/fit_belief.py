@@ -7,20 +7,38 @@ table, and says of every table what would be believed. See docs/belief.md.
 """
 import argparse
 import csv
+import math
 import sys
 
 import numpy
 
-BELIEVED_TRE_MM = 1.5  # what a believed result is not off by; kBelievedTre of belief.h
+BELIEVED_TRE_MM = 1.5  # what a believed result is not off by; kBelievedError of registration.h
 RIGHT_TRE_MM = 1.0
+LEARNT_ERROR_MM = 1.0
 
-# Name in the table, what the model is given of it, and the sign that its coefficient must have: +1 if more of it speaks
-# for the result, -1 if against. The same transformations as in belief.cpp.
-FIGURES = (
-    ('deviation', lambda row: numpy.log(max(row['deviation_mm'], 0.01)), -1),
-    ('similarity_least', lambda row: numpy.arctanh(numpy.clip(row['similarity_least'], -0.99, 0.99)), 1),
-    ('coarse_least', lambda row: numpy.arctanh(numpy.clip(row['coarse_least'], -0.99, 0.99)), 1),
-    ('pull', lambda row: numpy.log(max(row['pull_mean'], 0.01)), -1),
+def stretched(similarity):
+    return math.atanh(min(max(similarity, -0.999), 0.999))
+
+
+def log_of(value, least):
+    return math.log(max(value, least))
+
+
+def margin(row):
+    if row['here'] <= 0.0:
+        return -1.0
+    return min(max((row['here'] - row['rival']) / row['here'], -1.0), 1.0)
+
+
+# The terms of belief.cpp: name, what the model is given of the figures, and the sign that its weight must have: +1 if
+# more of it speaks for the result, -1 if against.
+TERMS = (
+    ('expected error', lambda row: log_of(row['expected_error_mm'], 0.1), -1),
+    ('similarity', lambda row: stretched(row['least_similarity']), 1),
+    ('coarse similarity', lambda row: stretched(row['least_coarse_similarity']), 1),
+    ("views' disagreement", lambda row: log_of(row['pull_mm'], 0.03), -1),
+    ('distinctness', lambda row: log_of(row['distinctness'], 0.5), 1),
+    ('margin over other places', margin, 1),
 )
 
 
@@ -36,22 +54,43 @@ def read_table(path):
 
 
 def features(rows):
-    return numpy.array([[figure(row) for _, figure, _ in FIGURES] for row in rows])
+    return numpy.array([[figure(row) for _, figure, _ in TERMS] for row in rows])
 
 
 def errors(rows):
     return numpy.array([row['tre_mm'] for row in rows])
 
 
-def probabilities(coefficients, values):
-    return 1.0 / (1.0 + numpy.exp(-numpy.clip(coefficients[0] + values @ coefficients[1:], -50.0, 50.0)))
+def within(rows):
+    """How probable it is that errors of the expected size, along one direction, stay below the limit."""
+    return numpy.array([math.erf(BELIEVED_TRE_MM / (math.sqrt(2.0) * max(row['expected_error_mm'], 0.01)))
+                        for row in rows])
 
 
-def fit(values, right, ridge):
-    """Intercept and coefficients by Newton's method. Figures whose coefficient has the wrong sign are left out."""
+def probabilities(coefficients, rows):
+    odds = coefficients[0] + features(rows) @ coefficients[1:]
+    return within(rows) / (1.0 + numpy.exp(-numpy.clip(odds, -50.0, 50.0)))
+
+
+def of_unseen(rows, ridge):
+    """Probabilities of each registration by what the other subjects teach, in five parts by subject."""
+    subjects = sorted({row['subject'] for row in rows})
+    part = numpy.array([subjects.index(row['subject']) % 5 for row in rows])
+    p = numpy.zeros(len(rows))
+    for left_out in range(5):
+        coefficients = fit([row for row, of in zip(rows, part) if of != left_out], ridge)
+        p[part == left_out] = probabilities(coefficients, [row for row, of in zip(rows, part) if of == left_out])
+    return p
+
+
+def fit(rows, ridge):
+    """Intercept and coefficients by Newton's method. Terms whose coefficient has the wrong sign are left out."""
+    # What is expected to be off by more is not believed whatever else speaks for it.
+    rows = [row for row in rows if row['expected_error_mm'] < LEARNT_ERROR_MM]
+    values, right = features(rows), errors(rows) < BELIEVED_TRE_MM
     mean, deviation = values.mean(axis=0), values.std(axis=0) + 1e-9
     scaled = numpy.column_stack([numpy.ones(len(values)), (values - mean) / deviation])
-    signs = numpy.array([sign for _, _, sign in FIGURES])
+    signs = numpy.array([sign for _, _, sign in TERMS])
     used = numpy.ones(scaled.shape[1], bool)
     while True:
         part = scaled[:, used]
@@ -73,15 +112,19 @@ def fit(values, right, ridge):
         used[1 + int(wrong.argmin())] = False
 
 
-def judge(name, rows, coefficients, threshold):
-    p = probabilities(coefficients, features(rows))
+def rivalled(rows):
+    """Refused though probable enough when the table was made: another place was as much alike."""
+    return numpy.array([row['status'] != 0 and row['probability'] >= 0.95 for row in rows])
+
+
+def judge(name, rows, p, threshold):
     tre = errors(rows)
     right, wrong = tre < RIGHT_TRE_MM, tre > BELIEVED_TRE_MM
-    believed = p >= threshold
+    believed = (p >= threshold) & ~rivalled(rows)
     print('%-28s %5d %7d %8.1f %7d %8d   %.3f' %
           (name, len(rows), right.sum(), 100.0 * believed[right].mean() if right.any() else float('nan'), wrong.sum(),
            believed[wrong].sum(), numpy.mean((p - (tre < BELIEVED_TRE_MM)) ** 2)))
-    return p, tre < BELIEVED_TRE_MM
+    return name, p, tre < BELIEVED_TRE_MM
 
 
 def draw(path, judged):
@@ -106,23 +149,27 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument('learn', nargs='+', metavar='CSV', help='tables to learn on')
     parser.add_argument('--judge', nargs='*', default=[], metavar='NAME=CSV', help='tables to judge by')
-    parser.add_argument('--threshold', type=float, default=0.9, help='probability from which a result is believed')
+    parser.add_argument('--threshold', type=float, default=0.95, help='probability from which a result is believed')
     parser.add_argument('--ridge', type=float, default=1.0, help='penalty on coefficients of normalised figures')
     parser.add_argument('--picture', help='image file for the reliability diagram of the judged tables')
     arguments = parser.parse_args()
-    rows = [row for path in arguments.learn for row in read_table(path)]
-    coefficients = fit(features(rows), errors(rows) < BELIEVED_TRE_MM, arguments.ridge)
-    print('{ "intercept", %.4g },' % coefficients[0])
-    for (name, _, _), coefficient in zip(FIGURES, coefficients[1:]):
-        print('{ "%s", %.4g },' % (name, coefficient))
+    # Of depth one view alone knows little: its results are right or wrong by chance, whatever the figures say.
+    rows = [row for path in arguments.learn for row in read_table(path) if row['views'] > 1]
+    coefficients = fit(rows, arguments.ridge)
+    centres = features(rows).mean(axis=0)
+    print('offset %.3g' % (coefficients[0] + coefficients[1:] @ centres))
+    print('%-28s %8s %8s' % ('term', 'centre', 'weight'))
+    for (name, _, _), centre, weight in zip(TERMS, centres, coefficients[1:]):
+        print('%-28s %8.3g %8.3g' % (name, centre, weight))
     print('\n%-28s %5s %7s %8s %7s %8s   %s' % ('', 'n', '< 1 mm', 'bel. %', '> 1.5', 'believed', 'Brier'))
-    judge('learnt on', rows, coefficients, arguments.threshold)
-    judged = []
+    judge('learnt on', rows, probabilities(coefficients, rows), arguments.threshold)
+    judged = [judge('unseen subjects', rows, of_unseen(rows, arguments.ridge), arguments.threshold)]
     for text in arguments.judge:
         name, _, path = text.partition('=')
         if not path:
             parser.error('--judge is %s, expected NAME=CSV' % text)
-        judged.append((name,) + judge(name, read_table(path), coefficients, arguments.threshold))
+        table = read_table(path)
+        judged.append(judge(name, table, probabilities(coefficients, table), arguments.threshold))
     if arguments.picture:
         draw(arguments.picture, judged)
     return 0

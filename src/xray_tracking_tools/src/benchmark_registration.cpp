@@ -1,4 +1,5 @@
 #include <iostream>
+#include <optional>
 #include <stdexcept>
 
 #include "benchmark_registration/capture_range.h"
@@ -6,7 +7,7 @@
 #include "benchmark_registration/random_trials.h"
 #include "benchmark_registration/real_sequences.h"
 #include "benchmark_registration/wide_starts.h"
-#include "xray_tracking_core/volume/body_model.h"
+#include "xray_tracking_core/volume/ct_content.h"
 #include "xray_tracking_core/volume/target_mask.h"
 #include "xray_tracking_tools/command_line.h"
 
@@ -81,9 +82,13 @@ std::vector<FigureTable> measureSubject(Subject subject, const po::variables_map
   {
     drawMask(subject, targetMaskFromBone(subject.ct, subject.box()), picture);
   }
-  const Registration registration(
-      bodies == 1 ? oneBody(subject.ct) : splitBodies(subject.ct, targetMaskFromBone(subject.ct, subject.box())),
-      subject.box(), options);
+  std::optional<TargetMask> mask;
+  if (bodies == 2)
+  {
+    mask = targetMaskFromBone(subject.ct, subject.box());
+  }
+  const Registration registration(bodiesOf(subject.ct, mask, subject.exposures.setup.ct_content), subject.box(),
+                                  options);
   subject.ct = CtVolume();
   std::cout << subject.name << ", " << subject.exposures.images.size() << " exposures, " << bodies
             << (bodies == 1 ? " body" : " bodies") << "; errors in mm\n";

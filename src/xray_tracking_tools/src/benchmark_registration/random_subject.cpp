@@ -89,6 +89,26 @@ Eigen::AlignedBox3d randomBox(std::mt19937& random, const Scans::Scan& scan)
   throw std::runtime_error(scan.name + ": no box with bone found");
 }
 
+/// Share that moves with the target: all bone in the box, and what is next to it.
+TargetMask rigidWith(const CtVolume& ct, const Eigen::AlignedBox3d& box)
+{
+  const TargetMaskOptions options{ 180.0, 2.0, 3.0, 25.0 };
+  CtVolume labels = ct;
+  for (int k = 0; k < ct.grid.size.z(); ++k)
+  {
+    for (int j = 0; j < ct.grid.size.y(); ++j)
+    {
+      for (int i = 0; i < ct.grid.size.x(); ++i)
+      {
+        const std::size_t n = ct.grid.offset(i, j, k);
+        labels.hu[n] =
+            ct.hu[n] > options.threshold_hu && box.contains(ct.grid.patient_from_index * Eigen::Vector3d(i, j, k));
+      }
+    }
+  }
+  return targetMaskFromLabels(ct.grid, labels, 1, options);
+}
+
 /// The target's bone alone, air around it.
 void cutOut(CtVolume& ct, const TargetMask& mask)
 {
@@ -128,10 +148,9 @@ RandomAnatomy scannedAnatomy(std::mt19937& random, const Scans::Scan& scan, bool
   made.name = scan.name;
   if (xrayed)
   {
-    const TargetMaskOptions rigid{ 180.0, 2.0, 3.0, 25.0 };
     const double wave = between(random, 0.0, 4.0);
-    made.anatomy = std::make_shared<DeformingCt>(scan.ct, targetMaskFromBone(scan.coarse, made.box, rigid), wave,
-                                                 0.5 * std::min(1.0, scan.ct->grid.spacing().minCoeff()));
+    made.anatomy = std::make_shared<DeformingCt>(scan.ct, rigidWith(scan.coarse, made.box), wave,
+                                                 0.9 * std::min(1.0, scan.ct->grid.spacing().minCoeff()));
   }
   // What is registered is coarser than what is X-rayed.
   const Eigen::Vector3d spacing = scan.ct->grid.spacing();
@@ -171,17 +190,18 @@ RandomAnatomy limbAnatomy(std::mt19937& random, Limb::Kind kind)
   made.name = kind == Limb::Kind::IMPLANT ? "implant" : "forearm";
   made.anatomy = limb;
   made.exact = true;
+  made.symmetric = true;
   made.box = limb->box();
   const double voxel = between(random, 0.4, 1.2);
   made.ct = limb->segmentedCt(voxel, between(random, 0.4, 1.5), withProbability(random, 0.5));
   return made;
 }
 
-/// Lengths of the materials in all pixels; of what is not sharp, from a grid of 0.6 mm at the target.
+/// Lengths of the materials in all pixels; of what is not sharp, from a grid of 0.8 mm at the target.
 void materialsOf(const RandomAnatomy& anatomy, const ProjectionGeometry& geometry, const BodyPoses& poses,
                  cv::Mat& soft, cv::Mat& bone)
 {
-  const double grid = anatomy.exact ? 0.2 : 0.6;
+  const double grid = anatomy.exact ? 0.3 : 0.8;
   const double pixel = geometry.pixelPitch().x() / geometry.magnification(Eigen::Vector3d::Zero());
   const cv::Size size(geometry.imageSize().x(), geometry.imageSize().y());
   if (pixel >= grid)
@@ -247,8 +267,12 @@ RandomAnatomy randomAnatomy(std::mt19937& random, const Scans& scans, bool xraye
 
 BodyModel bodiesOf(const RandomAnatomy& anatomy)
 {
-  return anatomy.two_bodies ? splitBodies(anatomy.ct, targetMaskFromBone(anatomy.ct, anatomy.box))
-                            : oneBody(anatomy.ct);
+  std::optional<TargetMask> mask;
+  if (anatomy.two_bodies)
+  {
+    mask = targetMaskFromBone(anatomy.ct, anatomy.box);
+  }
+  return bodiesOf(anatomy.ct, mask, CtContent::RECOGNISED);
 }
 
 RandomSubject randomSubject(std::mt19937& random, const Scans& scans)
@@ -262,7 +286,7 @@ RandomSubject randomSubject(std::mt19937& random, const Scans& scans)
   RigidTransform nominal = RigidTransform::Identity();
   nominal.linear() = rotationFromVector(between(random, 0.0, EIGEN_PI) * randomDirection(random));
   nominal.translation() = -(nominal.linear() * box.center());
-  const double field = box.sizes().norm() + 2.0 * between(random, 8.0, 60.0);
+  const double field = box.sizes().norm() + 2.0 * between(random, 8.0, 35.0);
   setup.detectors = randomRoom(random, nominal.linear() * Eigen::Vector3d::UnitZ(), field);
   setup.room_from_patient = nominal;
   std::vector<cv::Rect> regions;

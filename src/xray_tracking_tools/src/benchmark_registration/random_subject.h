@@ -6,7 +6,7 @@
 #include <vector>
 
 #include "subject.h"
-#include "xray_tracking_core/volume/body_model.h"
+#include "xray_tracking_core/volume/ct_content.h"
 #include "xray_tracking_detector_simulator/anatomy.h"
 
 namespace xray_tracking
@@ -39,6 +39,7 @@ struct RandomAnatomy
   std::string name;
   std::shared_ptr<const Anatomy> anatomy;
   bool exact = false;           ///< sharp: X-rays are sampled at every pixel
+  bool symmetric = false;       ///< nearly: mirrored or turned by half it looks the same
   bool target_is_rest = false;  ///< of the phantom: the target moves with its other body
   CtVolume ct;
   Eigen::AlignedBox3d box;

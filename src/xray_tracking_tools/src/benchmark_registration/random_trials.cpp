@@ -19,8 +19,10 @@ namespace xray_tracking
 {
 namespace
 {
-constexpr double kRight = 1.0;    // [mm]
-constexpr double kFarther = 4.0;  // between two exposures for a mixture of both to be wrong [mm]
+constexpr double kRight = 1.0;  // [mm]
+/// Between two exposures, along what both of two views see. What only one view sees of a motion cannot be found to
+/// contradict the other view [mm].
+constexpr double kContradiction = 2.0;
 
 enum class Wrong
 {
@@ -91,6 +93,10 @@ private:
 
   void addWrong(Wrong what)
   {
+    if (subject_.anatomy.symmetric && (what == Wrong::UPSIDE_DOWN || what == Wrong::MIRRORED))
+    {
+      return;
+    }
     const std::string kind = kWrongNames[static_cast<std::size_t>(what)];
     const Twist little = randomTwist(random_, between(random_, 0.0, 5.0) * kDegree, between(random_, 0.0, 6.0));
     RegistrationRequest wrong = request(0, little);
@@ -134,7 +140,7 @@ private:
         std::swap(wrong.views[0].image, wrong.views[1].image);
         break;
       case Wrong::OTHER_EXPOSURE:
-        if (wrong.views.size() < 2 || targetRegistrationError(gold(0), gold(1), box()) < kFarther)
+        if (wrong.views.size() < 2 || sharedMotion() < kContradiction)
         {
           return;
         }
@@ -145,6 +151,15 @@ private:
         return;
     }
     add(kind, *registration_, wrong, gold(0), what == Wrong::OTHER_EXPOSURE);
+  }
+
+  /// Of the target from one exposure to the other, along what the first two views both see [mm].
+  double sharedMotion() const
+  {
+    const auto& detectors = subject_.exposures.setup.detectors;
+    const Eigen::Vector3d centre = gold(0) * box().center();
+    const Eigen::Vector3d both = (centre - detectors[0].source()).cross(centre - detectors[1].source()).normalized();
+    return std::abs(both.dot(gold(1) * box().center() - centre));
   }
 
   void addOtherCt(const std::string& kind, RegistrationRequest& request)

@@ -2,12 +2,13 @@
 
 #include <algorithm>
 #include <filesystem>
+#include <limits>
 #include <map>
 #include <stdexcept>
 
 #include "starts.h"
 #include "xray_tracking_core/evaluation/evaluation.h"
-#include "xray_tracking_core/volume/body_model.h"
+#include "xray_tracking_core/volume/ct_content.h"
 #include "xray_tracking_core/volume/target_mask.h"
 
 namespace fs = std::filesystem;
@@ -18,6 +19,8 @@ namespace
 {
 constexpr double kRight = 1.0;  // [mm]
 constexpr double kRightAngle = 2.0 * kDegree;
+constexpr double kLong = 1.8;       // times the next edge: a box of which either end is registered, too
+constexpr std::size_t kFewest = 3;  // results of an exposure for a spread
 
 /// How far a sequence's reference can be trusted, as its makers say.
 std::string referenceUncertainty(const fs::path& folder)
@@ -35,6 +38,12 @@ std::string referenceUncertainty(const fs::path& folder)
     }
   }
   return "not stated";
+}
+
+std::string nameOf(const fs::path& folder)
+{
+  const std::string parent = folder.parent_path().filename().string();
+  return (parent.find("_real") != std::string::npos ? parent + "/" : "") + folder.filename().string();
 }
 
 std::vector<fs::path> findSequences(const fs::path& folder)
@@ -84,6 +93,10 @@ double spread(const std::map<std::size_t, std::vector<RigidTransform>>& right, c
   std::vector<double> distances;
   for (const auto& [exposure, poses] : right)
   {
+    if (poses.size() < kFewest)
+    {
+      continue;
+    }
     const RigidTransform median = medianPose(poses, box);
     for (const RigidTransform& pose : poses)
     {
@@ -134,6 +147,80 @@ void addRow(FigureTable& table, const std::string& name, const std::string& star
   table.add("worst believed", worst_believed);
   table.add("CPU ms", quantile(cpu, 0.5), 1);
 }
+struct Part
+{
+  std::string name;
+  Eigen::AlignedBox3d box;
+};
+
+/// The target's box, and of a long one either end.
+std::vector<Part> partsOf(const Eigen::AlignedBox3d& box)
+{
+  std::vector<Part> parts{ { "", box } };
+  int axis = 0;
+  box.sizes().maxCoeff(&axis);
+  Eigen::Vector3d others = box.sizes();
+  others[axis] = 0.0;
+  if (box.sizes()[axis] > kLong * others.maxCoeff())
+  {
+    parts.push_back({ "; low end", box });
+    parts.back().box.max()[axis] = box.center()[axis];
+    parts.push_back({ "; high end", box });
+    parts.back().box.min()[axis] = box.center()[axis];
+  }
+  return parts;
+}
+
+/// From starts of every size, and from the pose of the exposure before.
+/// @return poses of the first exposure from near starts
+std::vector<RigidTransform> measureSequence(const Subject& subject, const Registration& registration,
+                                            const std::string& reference, int starts, FigureTable& table,
+                                            std::vector<Trial>& trials)
+{
+  const auto& gold = subject.exposures.room_from_patient;
+  std::vector<RigidTransform> first_poses;
+  std::mt19937 random(3);
+  const auto finish =
+      [&](const std::string& start, const std::vector<Trial>& done, const std::vector<std::size_t>& index)
+  {
+    addRow(table, subject.name, start, reference, done, index, subject.box());
+    trials.insert(trials.end(), done.begin(), done.end());
+  };
+  for (const auto& [millimetres, degrees] :
+       { std::pair(2, 1), std::pair(5, 3), std::pair(10, 5), std::pair(16, 10), std::pair(30, 15) })
+  {
+    std::vector<Twist> twists;
+    std::vector<std::size_t> index;
+    for (int n = 0; n < starts; ++n)
+    {
+      twists.push_back(randomTwist(random, degrees * kDegree, millimetres));
+      index.push_back(n % gold.size());
+    }
+    const std::string start = std::to_string(millimetres) + " mm; " + std::to_string(degrees) + " degrees";
+    const std::vector<Trial> done = registerAll(subject, registration, twists, 0, start);
+    finish(start, done, index);
+    for (std::size_t n = 0; n < done.size() && millimetres <= 5; n += gold.size())
+    {
+      first_poses.push_back(done[n].result.room_from_patient);
+    }
+  }
+  if (gold.size() > 1)
+  {
+    const std::string start = "the exposure before";
+    std::vector<Trial> done;
+    std::vector<std::size_t> index;
+    for (std::size_t k = 1; k < gold.size(); ++k)
+    {
+      done.push_back(
+          tryRegistration(registration, requestFor(subject.exposures, k, gold[k - 1]), gold[k], subject.box()));
+      done.back().subject = subject.name;
+      done.back().kind = start;
+      index.push_back(k);
+    }
+    finish(start, done, index);
+  }
+  return first_poses;
+}
 }  // namespace
 
 std::vector<FigureTable> measureRealSequences(const std::string& folder, const RegistrationOptions& options, int starts,
@@ -145,59 +232,30 @@ std::vector<FigureTable> measureRealSequences(const std::string& folder, const R
   for (const fs::path& path : findSequences(folder))
   {
     Subject subject = sequenceSubject(path.string());
-    const std::string reference = referenceUncertainty(path);
-    const std::string name = fs::relative(path, folder).string();
-    const Registration registration(splitBodies(subject.ct, targetMaskFromBone(subject.ct, subject.box())),
-                                    subject.box(), options);
-    subject.name = name;
-    const auto& gold = subject.exposures.room_from_patient;
-    std::vector<RigidTransform> first_poses;
-    std::mt19937 random(3);
-    for (const auto& [millimetres, degrees] :
-         { std::pair(2, 1), std::pair(5, 3), std::pair(10, 5), std::pair(16, 10), std::pair(30, 15) })
+    const Eigen::AlignedBox3d whole = subject.box();
+    for (const Part& part : partsOf(whole))
     {
-      std::vector<Twist> twists;
-      std::vector<std::size_t> index;
-      for (int n = 0; n < starts; ++n)
+      subject.name = nameOf(path) + part.name;
+      subject.exposures.setup.target_box = part.box;
+      const Registration registration(
+          bodiesOf(subject.ct, targetMaskFromBone(subject.ct, part.box), subject.exposures.setup.ct_content), part.box,
+          options);
+      const std::vector<RigidTransform> poses =
+          measureSequence(subject, registration, referenceUncertainty(path), starts, table, trials);
+      if (!part.name.empty())
       {
-        twists.push_back(randomTwist(random, degrees * kDegree, millimetres));
-        index.push_back(n % gold.size());
+        continue;
       }
-      const std::string start = std::to_string(millimetres) + " mm; " + std::to_string(degrees) + " degrees";
-      const std::vector<Trial> done = registerAll(subject, registration, twists, 0, start);
-      addRow(table, name, start, reference, done, index, subject.box());
-      for (std::size_t n = 0; n < done.size() && millimetres <= 5; n += gold.size())
-      {
-        first_poses.push_back(done[n].result.room_from_patient);
-      }
-      trials.insert(trials.end(), done.begin(), done.end());
-    }
-    alike[fs::canonical(subject.exposures.setup.ct_path)].emplace_back(name, medianPose(first_poses, subject.box()));
-    for (const auto& [other, pose] : alike[fs::canonical(subject.exposures.setup.ct_path)])
-    {
-      if (other != name)
+      const RigidTransform pose = medianPose(poses, whole);
+      auto& others = alike[fs::canonical(subject.exposures.setup.ct_path)];
+      for (const auto& [other, other_pose] : others)
       {
         agreement.beginRow();
-        agreement.add("folder", name);
+        agreement.add("folder", subject.name);
         agreement.add("and", other);
-        agreement.add("apart", targetRegistrationError(pose, medianPose(first_poses, subject.box()), subject.box()));
+        agreement.add("apart", targetRegistrationError(pose, other_pose, whole));
       }
-    }
-    if (gold.size() > 1)
-    {
-      const std::string start = "the exposure before";
-      std::vector<Trial> done;
-      std::vector<std::size_t> index;
-      for (std::size_t k = 1; k < gold.size(); ++k)
-      {
-        done.push_back(
-            tryRegistration(registration, requestFor(subject.exposures, k, gold[k - 1]), gold[k], subject.box()));
-        done.back().subject = name;
-        done.back().kind = start;
-        index.push_back(k);
-      }
-      addRow(table, name, start, reference, done, index, subject.box());
-      trials.insert(trials.end(), done.begin(), done.end());
+      others.emplace_back(subject.name, pose);
     }
   }
   return { table, agreement };

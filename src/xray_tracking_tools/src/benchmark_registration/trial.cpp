@@ -6,6 +6,7 @@
 #include <fstream>
 #include <stdexcept>
 
+#include "starts.h"
 #include "xray_tracking_core/evaluation/evaluation.h"
 #include "xray_tracking_tools/command_line.h"
 
@@ -19,19 +20,6 @@ double cpuMilliseconds()
   getrusage(RUSAGE_SELF, &usage);
   return 1e3 * (usage.ru_utime.tv_sec + usage.ru_stime.tv_sec) +
          1e-3 * (usage.ru_utime.tv_usec + usage.ru_stime.tv_usec);
-}
-
-/// Least and mean over the views of one of their figures.
-std::string leastAndMean(const RegistrationResult& result, double ViewResidual::*figure)
-{
-  double least = result.views.empty() ? 0.0 : 1e9;
-  double sum = 0.0;
-  for (const ViewResidual& view : result.views)
-  {
-    least = std::min(least, view.*figure);
-    sum += view.*figure;
-  }
-  return std::to_string(least) + "," + std::to_string(sum / std::max<std::size_t>(1, result.views.size()));
 }
 }  // namespace
 
@@ -93,20 +81,20 @@ std::vector<Trial> registerAll(const Subject& subject, const Registration& regis
 void writeTrials(const std::vector<Trial>& trials, const std::string& path)
 {
   std::ofstream file(path);
-  file << "subject,kind,views,start_mm,start_deg,tre_mm,angle_deg,status,cpu_ms,deviation_mm,"
-          "similarity_least,similarity_mean,coarse_least,coarse_mean,pull_least,pull_mean,noise_least,noise_mean\n";
+  file << "subject,kind,views,start_mm,start_deg,tre_mm,angle_deg,status,cpu_ms,probability,rivals,expected_error_mm,"
+          "least_similarity,least_coarse_similarity,pull_mm,here,rival,distinctness\n";
   for (const Trial& trial : trials)
   {
     std::string subject = trial.subject;
     std::replace(subject.begin(), subject.end(), ',', ';');
     const RegistrationResult& result = trial.result;
+    const BeliefFigures& figures = result.figures;
     file << subject << ',' << trial.kind << ',' << result.views.size() << ',' << trial.start_error << ','
-         << 180.0 / CV_PI * trial.start_angle << ',' << trial.error << ',' << 180.0 / CV_PI * trial.angle << ','
-         << static_cast<int>(result.status) << ',' << trial.cpu_ms << ','
-         << std::sqrt(result.covariance.bottomRightCorner<3, 3>().trace()) << ','
-         << leastAndMean(result, &ViewResidual::similarity) << ','
-         << leastAndMean(result, &ViewResidual::coarse_similarity) << ','
-         << leastAndMean(result, &ViewResidual::pull_mm) << ',' << leastAndMean(result, &ViewResidual::noise) << '\n';
+         << trial.start_angle / kDegree << ',' << trial.error << ',' << trial.angle / kDegree << ','
+         << static_cast<int>(result.status) << ',' << trial.cpu_ms << ',' << result.probability << ','
+         << result.rivals.size() << ',' << figures.expected_error_mm << ',' << figures.least_similarity << ','
+         << figures.least_coarse_similarity << ',' << figures.pull_mm << ',' << figures.here << ',' << figures.rival
+         << ',' << figures.distinctness << '\n';
   }
   if (!file.flush())
   {
