@@ -115,6 +115,7 @@ private:
   Points points_;
   Box box_;
   DifferenceModel model_;
+  double bin_noise_ = 0.0;  ///< variance of the noise in the bins
   std::vector<Level> levels_;
   Texture texture_;               ///< of the finest level
   std::optional<RegionFit> fit_;  ///< the last steps

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include <Eigen/Core>
 #include <opencv2/imgproc.hpp>
 
 namespace xray_tracking
@@ -27,7 +28,7 @@ cv::Mat filtered(const cv::Mat& image, const cv::Mat& weights)
 }
 }  // namespace
 
-cv::Mat withoutNoise(const cv::Mat& image, double noise)
+cv::Mat withoutNoise(const cv::Mat& image, const NoiseSpectrum& noise)
 {
   const cv::Size size = transformSize(image.size());
   cv::Mat spectrum;
@@ -55,8 +56,9 @@ cv::Mat withoutNoise(const cv::Mat& image, double noise)
     for (int u = 0; u < size.width; ++u)
     {
       const int b = band(u, v);
+      const double f = 0.5 * std::hypot(static_cast<double>(u) / size.width, static_cast<double>(v) / size.height);
       weights.at<float>(v, u) =
-          static_cast<float>(std::max(0.0, 1.0 - noise * noise * count[b] / std::max(power[b], 1e-30)));
+          static_cast<float>(std::max(0.0, 1.0 - noise.power(f) * count[b] / std::max(power[b], 1e-30)));
     }
   }
   return filtered(image, weights);
@@ -66,20 +68,28 @@ Whitening::Whitening(const cv::Size& grid, int step, const DifferenceModel& mode
 {
   const cv::Size size = transformSize(grid);
   weights_.create(size, CV_32F);
+  const auto frequency = [&size](int u, int v)
+  { return Eigen::Vector2d(static_cast<double>(u) / size.width, static_cast<double>(v) / size.height); };
+  const auto overlay = [&frequency](int u, int v)
+  { return u + v > 2 ? std::pow(frequency(u, v).norm(), -3) : 0.0; };  // below: shading
   double sum = 0.0;
-  for (int pass = 0; pass < 2; ++pass)
+  for (int v = 0; v < size.height; ++v)
   {
-    const double white = 2.0 * model.noise * model.noise;  // both images have it
-    const double scale = sum > 0.0 ? model.background / (sum / size.area()) / white : 0.0;
-    for (int v = 0; v < size.height; ++v)
+    for (int u = 0; u < size.width; ++u)
     {
-      for (int u = 0; u < size.width; ++u)
-      {
-        const double f = std::hypot(static_cast<double>(u) / size.width, static_cast<double>(v) / size.height) / step;
-        const double power = u + v > 2 ? std::pow(f, -3) : 0.0;  // below: shading
-        sum += pass == 0 ? power : 0.0;
-        weights_.at<float>(v, u) = static_cast<float>(u + v > 2 ? 1.0 / (1.0 + scale * power) : 0.0);
-      }
+      sum += overlay(u, v);
+    }
+  }
+  const double scale = model.background / (sum / size.area());
+  const double variance = model.noise.variance();
+  for (int v = 0; v < size.height; ++v)
+  {
+    for (int u = 0; u < size.width; ++u)
+    {
+      const Eigen::Vector2d f = 0.5 * frequency(u, v);
+      const double noise = 2.0 * model.noise.foldedPower(f.x(), f.y(), step);  // both images have it
+      weights_.at<float>(v, u) =
+          static_cast<float>(u + v > 2 ? 2.0 * variance / (noise + scale * overlay(u, v)) : 0.0);
     }
   }
 }
