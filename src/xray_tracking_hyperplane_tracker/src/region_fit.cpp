@@ -14,10 +14,6 @@ constexpr float kOutlier = 2.f;
 /// A tile's mean this many times the median of all means away from the middle is far.
 constexpr float kFarMean = 4.f;
 constexpr int kReweightings = 6;
-/// Error of the motion [px] whose residual never makes an outlier.
-constexpr float kMotionError = 0.15f;
-/// A tile's mean that a motion by so much explains is not far [px].
-constexpr float kMisplaced = 2.f;
 }  // namespace
 
 void RegionFit::sumTiles()
@@ -83,7 +79,7 @@ void RegionFit::doubtCoveredTiles()
   const float far = kFarMean * middle();
   for (Eigen::Index t = 0; t < tiles; ++t)
   {
-    const float ratio = (far + kMisplaced * mean_slopes_[t]) / std::max(std::abs(variances_[t]), 1e-30f);
+    const float ratio = far / std::max(std::abs(variances_[t]), 1e-30f);
     weights_[t] *= ratio < 1.f ? std::max(1e-6f, ratio * ratio * ratio * ratio) : 1.f;
   }
 }
@@ -151,29 +147,6 @@ void RegionFit::findVariances()
   }
 }
 
-float RegionFit::usualMisplacement(float scale)
-{
-  // The median over tiles that count as much as they tell of the motion.
-  float sum = 0.f;
-  for (Eigen::Index t = 0; t < weights_.size(); ++t)
-  {
-    misplacements_[static_cast<std::size_t>(t)] = { std::max(0.f, variances_[t] - kOutlier * scale) / std::max(slopes_[t], 1e-30f),
-                          weights_[t] > 0.f ? slopes_[t] * static_cast<float>(tiles_[static_cast<std::size_t>(t)].count) : 0.f };
-    sum += misplacements_[static_cast<std::size_t>(t)].second;
-  }
-  std::sort(misplacements_.begin(), misplacements_.end());
-  float below = 0.f;
-  for (const auto& [squared_distance, weight] : misplacements_)
-  {
-    below += weight;
-    if (below >= 0.5f * sum)
-    {
-      return squared_distance;
-    }
-  }
-  return 0.f;
-}
-
 void RegionFit::reweight()
 {
   for (int pass = 0; pass <= kReweightings; ++pass)
@@ -194,13 +167,12 @@ void RegionFit::reweight()
     }
     std::nth_element(sorted_.data(), sorted_.data() + kept / 2, sorted_.data() + kept);
     const float scale = std::max(sorted_[kept / 2], static_cast<float>(floor_));
-    const float misplaced = std::max(kMotionError * kMotionError, usualMisplacement(scale));
     float change = 0.f;
     for (Eigen::Index t = 0; pass < kReweightings && t < weights_.size(); ++t)
     {
       if (weights_[t] > 0.f)
       {
-        const float ratio = (kOutlier * scale + misplaced * slopes_[t]) / std::max(variances_[t], 1e-30f);
+        const float ratio = (kOutlier * scale + tolerance_[t]) / std::max(variances_[t], 1e-30f);
         const float weight = std::max(1e-6f, std::min(1.f, ratio * ratio));
         change = std::max(change, std::abs(weight - weights_[t]));
         weights_[t] = weight;

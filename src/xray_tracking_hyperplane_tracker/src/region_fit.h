@@ -1,7 +1,6 @@
 #pragma once
 
 #include <array>
-#include <utility>
 #include <vector>
 
 #include <Eigen/Core>
@@ -85,9 +84,6 @@ private:
   void sumTiles();
   void doubtCoveredTiles();
   void reweight();
-  /// How far the structure of most tiles is from where the motion puts it, squared [px^2].
-  /// @param scale variance of most tiles' residuals
-  float usualMisplacement(float scale);
   /// Solves for the weights as they are.
   void solveWeighted(Noise noise);
   /// Sums over a tile of [Z N]^T d.
@@ -120,8 +116,7 @@ private:
   /// other image's noise: the scatter has to have it.
   std::array<Eigen::MatrixXd, 2> noise_scores_;
   std::array<Eigen::ArrayXd, 2> information_;  ///< a tile's share of what is known of the motion
-  Eigen::ArrayXf slopes_;       ///< a tile's mean square difference for a motion by a pixel, and
-  Eigen::ArrayXf mean_slopes_;  ///< its mean difference, in units of the first nuisance pattern
+  Eigen::ArrayXf tolerance_;                   ///< variance that a small error of the motion makes in a tile
 
   Eigen::ArrayXf sampled_;
   Eigen::ArrayXf outside_;
@@ -129,7 +124,6 @@ private:
   Eigen::ArrayXf weights_;
   Eigen::ArrayXf variances_;
   Eigen::ArrayXf sorted_;
-  std::vector<std::pair<float, float>> misplacements_;  ///< of the tiles, squared [px^2], with their weights
   Eigen::VectorXf product_;
   Eigen::MatrixXd scores_;           ///< a column a tile: its weighted part of the equations
   std::array<System, 2> inverse_;    ///< of the weighted equations' matrix

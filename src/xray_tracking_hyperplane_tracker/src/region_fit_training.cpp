@@ -15,6 +15,8 @@ namespace
 {
 constexpr int kLane = 8;          ///< floats in a vector
 constexpr double kTiles = 100.0;  ///< about; enough for their scatter to be an estimate
+/// Error of the motion [px] whose residual does not make an outlier.
+constexpr float kMotionError = 0.15f;
 /// A residual's variance is hardly less: what the spline's kernel leaves of the noise between four pixels, 0.21 of white
 /// noise.
 double leastNoise(const NoiseSpectrum& noise)
@@ -218,7 +220,6 @@ RegionFit::RegionFit(const cv::Mat& image, const IntensityModel& intensity, cons
   weights_.resize(tiles);
   variances_.resize(tiles);
   sorted_.resize(tiles);
-  misplacements_.resize(static_cast<std::size_t>(tiles));
   product_.resize(tiles * unknowns_);
   scores_.resize(unknowns_, tiles);
 }
@@ -237,8 +238,7 @@ void RegionFit::store(const Eigen::MatrixXf& slopes, const std::array<Eigen::Mat
     all_squares_[noise] = Eigen::MatrixXd::Zero(q, q);
     noise_scores_[noise].resize(q, tiles);
   }
-  slopes_.resize(tiles);
-  mean_slopes_.resize(tiles);
+  tolerance_.resize(tiles);
   float* column = columns_.data();
   for (Eigen::Index t = 0; t < tiles; ++t)
   {
@@ -257,9 +257,7 @@ void RegionFit::store(const Eigen::MatrixXf& slopes, const std::array<Eigen::Mat
       all_squares_[noise] += (left.transpose() * left).cast<double>();
       noise_scores_[noise].col(t) = (left.transpose() * template_noise.segment(tile.begin, tile.padded)).cast<double>();
     }
-    slopes_[t] = right.leftCols(2).squaredNorm() / static_cast<float>(tile.count);
-    // The first nuisance pattern is the constant.
-    mean_slopes_[t] = (rows(nuisance).col(0).transpose() * right.leftCols(2)).norm() / static_cast<float>(tile.count);
+    tolerance_[t] = kMotionError * kMotionError * right.leftCols(2).squaredNorm() / static_cast<float>(tile.count);
   }
 
   for (const Noise noise : { WHITE, OVERLAY })
