@@ -34,8 +34,18 @@ double medianOf(std::vector<float>& values)
 
 NoiseSpectrum::NoiseSpectrum(const cv::Mat& values, const cv::Mat& usable, double least)
 {
+  // A Hann window, as a slope that ends at the block's border would be seen in all frequencies.
+  cv::Mat window(kBlock, kBlock, CV_32F);
+  for (int v = 0; v < kBlock; ++v)
+  {
+    for (int u = 0; u < kBlock; ++u)
+    {
+      const auto raised = [](int i) { return std::pow(std::sin(M_PI * (i + 0.5) / kBlock), 2); };
+      window.at<float>(v, u) = static_cast<float>(raised(u) * raised(v) / (3.0 / 8.0));  // of unit mean square
+    }
+  }
   std::array<std::vector<float>, kBands> magnitudes;
-  cv::Mat coefficients;
+  cv::Mat windowed, coefficients;
   for (int y = 0; y + kBlock <= values.rows; y += kBlockStep)
   {
     for (int x = 0; x + kBlock <= values.cols; x += kBlockStep)
@@ -45,11 +55,11 @@ NoiseSpectrum::NoiseSpectrum(const cv::Mat& values, const cv::Mat& usable, doubl
       {
         continue;
       }
-      cv::dct(values(block), coefficients);
-      // Along the axes there is what a slope leaves.
-      for (int v = 1; v < kBlock; ++v)
+      cv::subtract(values(block), cv::mean(values(block)), windowed);
+      cv::dct(windowed.mul(window), coefficients);
+      for (int v = 0; v < kBlock; ++v)
       {
-        for (int u = 1; u < kBlock; ++u)
+        for (int u = 0; u < kBlock; ++u)
         {
           const double f = std::hypot(u, v) / (2.0 * kBlock);
           const float magnitude = std::abs(coefficients.at<float>(v, u));

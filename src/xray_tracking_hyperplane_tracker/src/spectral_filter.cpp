@@ -20,7 +20,7 @@ cv::Size transformSize(const cv::Size& size)
 /// What has no more power than so many times the noise in a band of a block is taken for noise. Some bands have few
 /// coefficients, and noise is not the same everywhere: in attenuation it is greater behind what is dense. (1 lets through
 /// so much that knee_real's fit does not converge; from 2 to 6 little changes there, on wrist_real and the thorax.)
-constexpr double kDoubtful = 3.0;
+constexpr double kDoubtful = 4.0;
 
 /// Multiplies an image's cosine transform by weights of the transform's size.
 cv::Mat filtered(const cv::Mat& image, const cv::Mat& weights)
@@ -37,7 +37,8 @@ cv::Mat filtered(const cv::Mat& image, const cv::Mat& weights)
 cv::Mat withoutNoise(const cv::Mat& image, const NoiseSpectrum& noise)
 {
   constexpr int kBlock = 16;
-  constexpr int kStep = kBlock / 2;
+  constexpr int kStep = kBlock / 4;
+  constexpr int kMargin = kBlock - kStep;  // every pixel is in as many blocks
   constexpr std::size_t kBands = 24;
   std::array<std::size_t, kBlock * kBlock> band;
   std::array<double, kBands> expected{};
@@ -50,13 +51,13 @@ cv::Mat withoutNoise(const cv::Mat& image, const NoiseSpectrum& noise)
       band[static_cast<std::size_t>(v * kBlock + u)] = b;
       expected[b] += noise.power(std::hypot(u, v) / (2.0 * kBlock));
       const auto raised = [](int i) { return std::pow(std::sin(M_PI * (i + 0.5) / kBlock), 2); };
-      window.at<float>(v, u) = static_cast<float>(raised(u) * raised(v));
+      window.at<float>(v, u) = static_cast<float>(0.25 * raised(u) * raised(v));
     }
   }
 
   cv::Mat padded, block, coefficients;
   const auto up = [](int size) { return (size + kStep - 1) / kStep * kStep - size; };
-  cv::copyMakeBorder(image, padded, kStep, kStep + up(image.rows), kStep, kStep + up(image.cols), cv::BORDER_REFLECT);
+  cv::copyMakeBorder(image, padded, kMargin, kMargin + up(image.rows), kMargin, kMargin + up(image.cols), cv::BORDER_REFLECT);
   cv::Mat sum(padded.size(), CV_32F, cv::Scalar(0.0));
   for (int y = 0; y + kBlock <= padded.rows; y += kStep)
   {
@@ -78,7 +79,7 @@ cv::Mat withoutNoise(const cv::Mat& image, const NoiseSpectrum& noise)
       sum(place) += block.mul(window);
     }
   }
-  return sum(cv::Rect(cv::Point(kStep, kStep), image.size())).clone();
+  return sum(cv::Rect(cv::Point(kMargin, kMargin), image.size())).clone();
 }
 
 Whitening::Whitening(const cv::Size& grid, int step, const DifferenceModel& model)
