@@ -87,12 +87,19 @@ void HyperplaneTrackerRos::configure()
     {
       const TreatmentSetup setup = loadTreatmentSetup(parameters_.setup_file);
       intensity_ = setup.intensity;
+      const ProjectionGeometry& geometry = setup.detector(parameters_.detector);
+      const double magnification = geometry.magnification(setup.room_from_patient * setup.targetCentre());
+      if (!(magnification > 0.0))
+      {
+        throw std::invalid_argument("the target is not in front of the source of " + geometry.name());
+      }
+      parameters_.scaleTo(geometry.pixelPitch().mean() / magnification);
       const auto given = setup.regions.find(parameters_.detector);
       if (!configured_region_)
       {
         configured_region_ = given != setup.regions.end()
                                  ? given->second
-                                 : projectedTargetRegion(setup, setup.detector(parameters_.detector));
+                                 : projectedTargetRegion(setup, geometry);
       }
     }
     region_ = configured_region_;
@@ -122,7 +129,7 @@ void HyperplaneTrackerRos::makeTracker()
     registration_ = registration.get();
     tracker = std::move(registration);
   }
-  tracker_.emplace(std::move(tracker), intensity_);
+  tracker_.emplace(std::move(tracker), intensity_, parameters_.tracker.reduction);
 }
 
 void HyperplaneTrackerRos::adoptSettings()

@@ -24,7 +24,7 @@ double unexplained(const TrackResult& result)
 void RecoveringTracker::train(const cv::Mat& image, const cv::Rect& region)
 {
   tracker_->train(image, region);
-  search_.emplace(image, region, intensity_);
+  search_.emplace(image, region, intensity_, reduction_);
   last_good_.setZero();
   usual_unexplained_.reset();
   lost_ = false;
@@ -80,7 +80,7 @@ void RecoveringTracker::recover(const cv::Mat& image)
   };
   std::vector<TrackResult> refined;
   std::transform(starts.begin(), starts.end(), std::back_inserter(refined), refine);
-  const std::optional<std::size_t> proven = provenCandidate(refined);
+  const std::optional<std::size_t> proven = provenCandidate(refined, reduction_);
   if (proven && asBefore(refined[*proven]))
   {
     // The next search is to start from there, not from the last of the others.

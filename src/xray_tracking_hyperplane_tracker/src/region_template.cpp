@@ -46,7 +46,6 @@ RegionTemplate::RegionTemplate(const cv::Mat& image, const cv::Rect& region, con
   : options_(options),
     intensity_(intensity),
     size_(image.size()),
-    type_(image.type()),
     region_(region),
     centre_(region.x + 0.5 * (region.width - 1), region.y + 0.5 * (region.height - 1)),
     radius_(std::sqrt((region.width * region.width + region.height * region.height) / 12.0)),

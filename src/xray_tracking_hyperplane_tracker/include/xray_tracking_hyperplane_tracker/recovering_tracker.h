@@ -22,8 +22,9 @@ namespace xray_tracking
 class RecoveringTracker
 {
 public:
-  RecoveringTracker(std::unique_ptr<RegionTracker> tracker, const IntensityModel& intensity)
-    : tracker_(std::move(tracker)), intensity_(intensity)
+  /// @param reduction as RegionSearch's
+  RecoveringTracker(std::unique_ptr<RegionTracker> tracker, const IntensityModel& intensity, int reduction = 1)
+    : tracker_(std::move(tracker)), intensity_(intensity), reduction_(reduction)
   {
   }
 
@@ -43,6 +44,7 @@ private:
 
   std::unique_ptr<RegionTracker> tracker_;
   IntensityModel intensity_;
+  int reduction_;
   std::optional<RegionSearch> search_;
   Eigen::Vector2d last_good_ = Eigen::Vector2d::Zero();  ///< displacement [px]
   std::optional<double> usual_unexplained_;              ///< 1 - correlation^2, running mean over the tracked images
