@@ -100,7 +100,7 @@ TrackerParameters readTrackerParameters(const ros::NodeHandle& pnh, const std::s
   HyperplaneTrackerOptions& tracker = parameters.tracker;
   TemplateRegistrationOptions& registration = parameters.registration;
   const std::string method = reader.read("method", std::string("hyperplane"));
-  const std::string model = reader.read("model", std::string("translation"));
+  const std::string model = reader.read("model", std::string("euclidean"));
   tracker.points = reader.read("points", tracker.points);
   tracker.bin = reader.read("bin", tracker.bin);
   parameters.resolution = reader.read("resolution", parameters.resolution);
