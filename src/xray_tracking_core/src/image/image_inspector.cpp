@@ -1,0 +1,340 @@
+#include "xray_tracking_core/image/image_inspector.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <limits>
+#include <sstream>
+#include <stdexcept>
+#include <vector>
+
+#include "field_border.h"
+#include "image_bins.h"
+#include "pixel_type.h"
+#include "stuck_pixels.h"
+
+namespace xray_tracking
+{
+namespace
+{
+constexpr int kLeastSize = 16;  // of an image [px]
+constexpr double kLeastField = 0.01;
+/// Bins of a real image go together by 0.9 and more, of noise alone, even if it is correlated over pixels, hardly.
+constexpr double kLeastCorrelation = 0.3;
+constexpr float kLeastLevel = 2.f;  // of the brightest bins, in standard deviations of a pixel
+// Values at an end of the range are a plateau if so many pixels are there, and so many times as many as next to it.
+constexpr double kPlateau = 1e-3;
+constexpr double kPile = 2.0;
+constexpr double kNext = 1.0 / 64.0;  // of the range
+
+/// Whether a value is the largest of a detector of 8 to 16 bit.
+bool allOnes(double value)
+{
+  return value == 255.0 || value == 1023.0 || value == 4095.0 || value == 16383.0 || value == 65535.0;
+}
+
+/// Whether pixels pile up at an end of the range rather than thin out towards it.
+template <typename Pixel>
+bool isPlateau(const cv::Mat& image, double end, double range)
+{
+  constexpr int kEvery = 3;
+  const auto at = static_cast<float>(end);
+  const auto width = static_cast<float>(std::max(range * kNext, image.depth() == CV_32F ? 0.0 : 1.0));
+  std::size_t all = 0, there = 0, next = 0;
+  for (int y = 0; y < image.rows; y += kEvery)
+  {
+    const Pixel* row = image.ptr<Pixel>(y);
+    for (int x = 0; x < image.cols; x += kEvery)
+    {
+      const float apart = std::abs(static_cast<float>(row[x]) - at);
+      ++all;
+      there += apart == 0.f;
+      next += apart > 0.f && apart <= width;
+    }
+  }
+  return static_cast<double>(there) > kPlateau * static_cast<double>(all) &&
+         static_cast<double>(there) > kPile * static_cast<double>(next);
+}
+
+/// Values that are only bounds: from `low` down and from `high` up.
+struct Bounds
+{
+  double low = -std::numeric_limits<double>::infinity();
+  double high = std::numeric_limits<double>::infinity();
+};
+
+template <typename Pixel>
+Bounds boundsOf(const cv::Mat& image, const IntensityModel& intensity, const ImageBins& bins)
+{
+  Bounds bounds;
+  double smallest = 0.0, largest = 0.0;
+  cv::minMaxLoc(image, &smallest, &largest);
+  const double range = bins.largest() - bins.smallest();
+  if (allOnes(largest))
+  {
+    bounds.high = largest;
+  }
+  // The bins' ends, as stuck pixels may be beyond.
+  if (isPlateau<Pixel>(image, bins.largest(), range))
+  {
+    bounds.high = std::min(bounds.high, bins.largest());
+  }
+  if (smallest == 0.0 && image.depth() != CV_32F)
+  {
+    bounds.low = 0.0;
+  }
+  if (isPlateau<Pixel>(image, bins.smallest(), range))
+  {
+    bounds.low = std::max(bounds.low, bins.smallest());
+  }
+  if (intensity.kind == IntensityModel::Kind::COUNTS)
+  {
+    bounds.low = std::max(bounds.low, intensity.offset);
+  }
+  return bounds;
+}
+
+std::string number(double value)
+{
+  std::ostringstream text;
+  text << value;
+  return text.str();
+}
+}  // namespace
+
+struct ImageInspector::Implementation
+{
+  ImageReport report;
+  ImageBins bins;
+  FieldBorder field;
+  StuckPixels stuck;
+
+  /// Why the image shows nothing; empty if it does.
+  std::string nothing(const IntensityModel& intensity) const
+  {
+    if (bins.largest() == bins.smallest())
+    {
+      return "the image shows nothing: it is " + number(bins.largest()) + " everywhere";
+    }
+    if (intensity.kind == IntensityModel::Kind::COUNTS && bins.brightest() <= kLeastLevel * bins.noise())
+    {
+      return "the image shows nothing: its brightest part is " + number(bins.brightest()) +
+             " counts above the offset " + number(intensity.offset) + ", with noise of " + number(bins.noise());
+    }
+    if (bins.correlation() < kLeastCorrelation)
+    {
+      return "the image shows nothing but noise";
+    }
+    return "";
+  }
+
+  template <typename Pixel>
+  void markSaturation(const cv::Mat& image, const IntensityModel& intensity)
+  {
+    const Bounds bounds = boundsOf<Pixel>(image, intensity, bins);
+    const bool counts = intensity.kind == IntensityModel::Kind::COUNTS;
+    const std::uint8_t above = counts ? SATURATED_BRIGHT : SATURATED_DARK;
+    const std::uint8_t below = counts ? SATURATED_DARK : SATURATED_BRIGHT;
+    const auto low = static_cast<float>(bounds.low), high = static_cast<float>(bounds.high);
+    const cv::Rect& part = report.part;
+    for (int y = 0; y < part.height; ++y)
+    {
+      const Pixel* values = image.ptr<Pixel>(part.y + y) + part.x;
+      std::uint8_t* flaws = report.flaws.ptr(y);
+      for (int x = 0; x < part.width; ++x)
+      {
+        const auto value = static_cast<float>(values[x]);
+        flaws[x] = static_cast<std::uint8_t>((value >= high ? above : 0) | (value <= low ? below : 0));
+      }
+    }
+  }
+
+  void markBorder()
+  {
+    if (!field.any())
+    {
+      return;
+    }
+    const cv::Rect& part = report.part;
+    const int edge = bins.edge();
+    for (int y = 0; y < part.height; ++y)
+    {
+      const std::uint8_t* outside = field.outside().ptr((part.y + y) / edge);
+      std::uint8_t* flaws = report.flaws.ptr(y);
+      for (int x = 0; x < part.width;)
+      {
+        const int bin = (part.x + x) / edge;
+        const int end = std::min(part.width, (bin + 1) * edge - part.x);
+        const std::uint8_t flaw = outside[bin] != 0 ? BORDER : 0;
+        for (; x < end; ++x)
+        {
+          flaws[x] |= flaw;
+        }
+      }
+    }
+  }
+
+  void count()
+  {
+    std::size_t counts[16] = {};
+    for (int y = 0; y < report.flaws.rows; ++y)
+    {
+      const std::uint8_t* flaws = report.flaws.ptr(y);
+      for (int x = 0; x < report.flaws.cols; ++x)
+      {
+        ++counts[flaws[x]];
+      }
+    }
+    std::size_t bright = 0, dark = 0, border = 0, stuck = 0;
+    for (std::size_t f = 0; f < 16; ++f)
+    {
+      const bool inside = (f & BORDER) == 0;
+      bright += inside && (f & SATURATED_BRIGHT) != 0 ? counts[f] : 0;
+      dark += inside && (f & SATURATED_DARK) != 0 ? counts[f] : 0;
+      border += !inside ? counts[f] : 0;
+      stuck += (f & STUCK) != 0 ? counts[f] : 0;
+    }
+    const auto all = static_cast<double>(report.flaws.total());
+    report.bright = static_cast<double>(bright) / all;
+    report.dark = static_cast<double>(dark) / all;
+    report.border = static_cast<double>(border) / all;
+    report.stuck = static_cast<double>(stuck) / all;
+  }
+};
+
+ImageInspector::ImageInspector() : implementation_(std::make_unique<Implementation>()) {}
+ImageInspector::~ImageInspector() = default;
+ImageInspector::ImageInspector(ImageInspector&&) noexcept = default;
+ImageInspector& ImageInspector::operator=(ImageInspector&&) noexcept = default;
+
+const ImageReport& ImageInspector::report() const
+{
+  return implementation_->report;
+}
+
+const ImageReport& ImageInspector::inspect(const cv::Mat& image, const IntensityModel& intensity, const cv::Rect& part)
+{
+  const cv::Rect whole(cv::Point(), image.size());
+  if (image.dims != 2 || image.cols < kLeastSize || image.rows < kLeastSize ||
+      (image.type() != CV_8UC1 && image.type() != CV_16UC1 && image.type() != CV_32FC1))
+  {
+    throw std::invalid_argument("image: is " + std::to_string(image.cols) + " x " + std::to_string(image.rows) +
+                                " of OpenCV type " + std::to_string(image.type()) +
+                                ", expected one channel of 8 or 16 bit or float, 16 x 16 pixels or more");
+  }
+  if ((part & whole) != part)
+  {
+    throw std::invalid_argument("part: is " + std::to_string(part.width) + " x " + std::to_string(part.height) +
+                                " at (" + std::to_string(part.x) + ", " + std::to_string(part.y) +
+                                "), expected inside an image of " + std::to_string(image.cols) + " x " +
+                                std::to_string(image.rows));
+  }
+  Implementation& i = *implementation_;
+  i.report.part = part.empty() ? whole : part;
+  i.report.flaws.create(i.report.part.size(), CV_8UC1);
+  i.bins.update(image, intensity);
+  i.report.nothing = i.nothing(intensity);
+  if (i.report.nothing.empty())
+  {
+    i.field.update(i.bins);
+    if (i.field.share() > 1.0 - kLeastField)
+    {
+      i.report.nothing = "the image shows nothing: all of it is outside the field";
+    }
+  }
+  if (!i.report.nothing.empty())
+  {
+    i.report.flaws.setTo(BORDER);
+    i.count();
+    return i.report;
+  }
+  withPixelType(image, [&](auto pixel) { i.markSaturation<decltype(pixel)>(image, intensity); });
+  i.markBorder();
+  i.stuck.mark(image, i.report.part, i.report.flaws);
+  i.count();
+  return i.report;
+}
+
+std::string ImageReport::describe() const
+{
+  if (!nothing.empty())
+  {
+    return nothing;
+  }
+  std::ostringstream text;
+  text.precision(2);
+  const char* separator = "";
+  const auto tell = [&](double share, const char* what)
+  {
+    if (share > 0.0)
+    {
+      text << separator << 100.0 * share << " % " << what;
+      separator = ", ";
+    }
+  };
+  tell(border, "outside the field");
+  tell(stuck, "stuck");
+  tell(bright, "saturated bright");
+  tell(dark, "saturated dark");
+  return text.str();
+}
+
+void ImageReport::usable(cv::Mat& mask, std::uint8_t flaws_to_leave_out) const
+{
+  mask.create(flaws.size(), CV_8UC1);
+  for (int row = 0; row < flaws.rows; ++row)
+  {
+    const std::uint8_t* from = flaws.ptr(row);
+    std::transform(from, from + flaws.cols, mask.ptr(row),
+                   [flaws_to_leave_out](std::uint8_t f)
+                   { return static_cast<std::uint8_t>((f & flaws_to_leave_out) == 0 ? 255 : 0); });
+  }
+}
+
+void repairStuckPixels(cv::Mat& image, const ImageReport& report)
+{
+  if (report.stuck == 0.0)
+  {
+    return;
+  }
+  constexpr int kFarthest = 4;  // [px]
+  std::vector<float> values;
+  withPixelType(
+      image,
+      [&](auto pixel)
+      {
+        using Pixel = decltype(pixel);
+        for (int y = 0; y < report.part.height; ++y)
+        {
+          for (int x = 0; x < report.part.width; ++x)
+          {
+            if ((report.flaws.at<std::uint8_t>(y, x) & STUCK) == 0)
+            {
+              continue;
+            }
+            values.clear();
+            for (int reach = 1; reach <= kFarthest && values.size() < 3; ++reach)
+            {
+              values.clear();
+              for (int v = std::max(0, y - reach); v <= std::min(report.part.height - 1, y + reach); ++v)
+              {
+                for (int u = std::max(0, x - reach); u <= std::min(report.part.width - 1, x + reach); ++u)
+                {
+                  if ((report.flaws.at<std::uint8_t>(v, u) & kUnusable) == 0)
+                  {
+                    values.push_back(static_cast<float>(image.at<Pixel>(v + report.part.y, u + report.part.x)));
+                  }
+                }
+              }
+            }
+            if (!values.empty())
+            {
+              const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
+              std::nth_element(values.begin(), middle, values.end());
+              image.at<Pixel>(y + report.part.y, x + report.part.x) = static_cast<Pixel>(*middle);
+            }
+          }
+        }
+      });
+}
+}  // namespace xray_tracking
