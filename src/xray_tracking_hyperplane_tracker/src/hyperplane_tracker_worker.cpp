@@ -344,7 +344,12 @@ std::string HyperplaneTrackerRos::train(const cv::Mat& pixels, const cv::Rect& r
 
 void HyperplaneTrackerRos::track(const cv::Mat& pixels, TrackedRegion& result)
 {
-  const TrackResult& track = tracker_->track(pixels);
+  TrackResult track = tracker_->track(pixels);
+  if (parameters_.model_by_data && !tellsRotation(track))
+  {
+    track = withoutLinearPart(track);
+    result.model = TrackedRegion::TRANSLATION;
+  }
   result.correlation = finiteOrZero(track.correlation);
   result.quality = finiteOrZero(track.quality);
   result.iterations = static_cast<std::uint32_t>(track.iterations);

@@ -37,7 +37,8 @@ Value named(const std::string& key, const std::string& name, const std::map<std:
   return found->second;
 }
 
-const std::map<std::string, MotionModel> kModels = { { "translation", MotionModel::TRANSLATION },
+const std::map<std::string, MotionModel> kModels = { { "auto", MotionModel::EUCLIDEAN },
+                                                     { "translation", MotionModel::TRANSLATION },
                                                      { "euclidean", MotionModel::EUCLIDEAN },
                                                      { "similarity", MotionModel::SIMILARITY },
                                                      { "affine", MotionModel::AFFINE } };
@@ -100,7 +101,7 @@ TrackerParameters readTrackerParameters(const ros::NodeHandle& pnh, const std::s
   HyperplaneTrackerOptions& tracker = parameters.tracker;
   TemplateRegistrationOptions& registration = parameters.registration;
   const std::string method = reader.read("method", std::string("hyperplane"));
-  const std::string model = reader.read("model", std::string("euclidean"));
+  const std::string model = reader.read("model", std::string("auto"));
   tracker.points = reader.read("points", tracker.points);
   tracker.bin = reader.read("bin", tracker.bin);
   parameters.resolution = reader.read("resolution", parameters.resolution);
@@ -137,10 +138,11 @@ TrackerParameters readTrackerParameters(const ros::NodeHandle& pnh, const std::s
 
   parameters.method = named("method", method, kMethods);
   tracker.model = named("model", model, kModels);
+  parameters.model_by_data = model == "auto";
   if (parameters.method != TrackingMethod::HYPERPLANE)
   {
     requireOption(tracker.model == MotionModel::TRANSLATION || tracker.model == MotionModel::EUCLIDEAN, "model", model,
-                  "translation or euclidean where the method is " + method);
+                  "auto, translation or euclidean where the method is " + method);
     registration.model = tracker.model;
   }
   registration.similarity = parameters.method == TrackingMethod::GRADIENT_CORRELATION

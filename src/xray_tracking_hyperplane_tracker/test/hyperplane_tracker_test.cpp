@@ -111,6 +111,30 @@ TEST(HyperplaneTracker, followsSubpixelMotionIn8Bit)
   followNoisyWalk(120.0, CV_8UC1, 0.03);
 }
 
+TEST(TrackResult, tellsARotationFromItsError)
+{
+  TrackResult result;
+  result.displacement = { 3.0, -2.0 };
+  result.covariance.topLeftCorner<2, 2>() = 0.01 * Eigen::Matrix2d::Identity();
+  const auto turned = [&result](double degrees, double sd)
+  {
+    result.linear = Eigen::Rotation2Dd(degrees * M_PI / 180.0).toRotationMatrix();
+    const Eigen::Vector4d along(0.0, -1.0, 1.0, 0.0);  // d linear / d angle
+    result.covariance.bottomRightCorner<4, 4>() = std::pow(sd * M_PI / 180.0, 2) * along * along.transpose();
+    return tellsRotation(result);
+  };
+  // 0.2 degrees are its floor, three standard deviations are asked for.
+  EXPECT_FALSE(turned(0.5, 0.0));
+  EXPECT_TRUE(turned(0.7, 0.0));
+  EXPECT_TRUE(turned(-2.0, 0.6));
+  EXPECT_FALSE(turned(2.0, 0.7));
+  EXPECT_FALSE(turned(std::nan(""), 0.0));
+  const TrackResult translation = withoutLinearPart(result);
+  EXPECT_EQ(translation.displacement, result.displacement);
+  EXPECT_TRUE(translation.linear.isIdentity());
+  EXPECT_EQ(translation.covariance.sum(), 0.02);
+}
+
 TEST(HyperplaneTracker, trainingExposureHasNoDisplacement)
 {
   HyperplaneTracker tracker = trainedTracker();

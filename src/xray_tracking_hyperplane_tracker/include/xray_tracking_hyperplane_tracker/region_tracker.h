@@ -41,6 +41,12 @@ struct TrackResult
   bool found() const { return status == Status::TRACKED || status == Status::DEGRADED; }
 };
 
+/// Whether a rotation has been measured, three standard deviations away from none; for the Euclidean model.
+bool tellsRotation(const TrackResult& result);
+
+/// What a translation is of a result: for a target that is not seen to turn, whose rotation would only be an error.
+TrackResult withoutLinearPart(TrackResult result);
+
 /// Follows a region that was learnt in one image through others of the same detector.
 class RegionTracker
 {

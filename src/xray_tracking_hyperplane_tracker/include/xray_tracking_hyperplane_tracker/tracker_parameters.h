@@ -24,6 +24,7 @@ enum class TrackingMethod
 struct TrackerParameters
 {
   TrackingMethod method = TrackingMethod::HYPERPLANE;
+  bool model_by_data = true;  ///< model `auto`: EUCLIDEAN where it tells a rotation, else TRANSLATION
   HyperplaneTrackerOptions tracker;           ///< lengths, and reduction, as of scaleTo()
   TemplateRegistrationOptions registration;   ///< the same
   /// Lengths at the target [mm]: of pixels that the tracker works on, about, and what is in pixels in its options.
