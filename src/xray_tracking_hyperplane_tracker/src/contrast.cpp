@@ -43,8 +43,9 @@ ContrastCheck checkContrast(const cv::Mat& image, const IntensityModel& intensit
     gradients(i, 1) = 0.5f * (values.at<float>(y + 1, x) - values.at<float>(y - 1, x));
   }
   nuisance.removeFrom(gradients);
-  const double noise_gradient = check.noise.variance(
-      [](double u, double v) { return 2.0 * M_PI * u * std::exp(-2.0 * std::pow(M_PI * kScale, 2) * (u * u + v * v)); });
+  const double noise_gradient =
+      check.noise.variance([](double u, double v)
+                           { return 2.0 * M_PI * u * std::exp(-2.0 * std::pow(M_PI * kScale, 2) * (u * u + v * v)); });
   const Eigen::Matrix2d tensor = (gradients.transpose() * gradients).cast<double>();
   const double weakest = Eigen::SelfAdjointEigenSolver<Eigen::Matrix2d>(tensor).eigenvalues()[0] -
                          static_cast<double>(points.rows()) * noise_gradient;

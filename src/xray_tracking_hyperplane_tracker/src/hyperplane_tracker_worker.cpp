@@ -97,9 +97,7 @@ void HyperplaneTrackerRos::configure()
       const auto given = setup.regions.find(parameters_.detector);
       if (!configured_region_)
       {
-        configured_region_ = given != setup.regions.end()
-                                 ? given->second
-                                 : projectedTargetRegion(setup, geometry);
+        configured_region_ = given != setup.regions.end() ? given->second : projectedTargetRegion(setup, geometry);
       }
     }
     region_ = configured_region_;

@@ -105,8 +105,7 @@ double NoiseSpectrum::power(double f) const
 double NoiseSpectrum::foldedPower(double u, double v, int step) const
 {
   // Of all that fold onto it, the frequencies up to a half.
-  const auto unfolded = [step](double f, int k)
-  { return (k % 2 == 0 ? k / 2 + f : (k + 1) / 2 - f) / step; };
+  const auto unfolded = [step](double f, int k) { return (k % 2 == 0 ? k / 2 + f : (k + 1) / 2 - f) / step; };
   double sum = 0.0;
   for (int i = 0; i < step; ++i)
   {
@@ -120,8 +119,7 @@ double NoiseSpectrum::foldedPower(double u, double v, int step) const
 
 double NoiseSpectrum::varianceOfMeans(int edge) const
 {
-  const auto gain = [edge](double f)
-  { return std::sin(M_PI * f * edge) / (edge * std::sin(M_PI * f)); };
+  const auto gain = [edge](double f) { return std::sin(M_PI * f * edge) / (edge * std::sin(M_PI * f)); };
   return variance([&gain](double u, double v) { return gain(u) * gain(v); });
 }
 
@@ -153,7 +151,8 @@ double greyStep(const cv::Mat& image)
   {
     for (int column = 0; column < image.cols; ++column)
     {
-      const int value = image.depth() == CV_8U ? image.at<std::uint8_t>(row, column) : image.at<std::uint16_t>(row, column);
+      const int value =
+          image.depth() == CV_8U ? image.at<std::uint8_t>(row, column) : image.at<std::uint16_t>(row, column);
       ++counts[static_cast<std::size_t>(value)];
     }
   }

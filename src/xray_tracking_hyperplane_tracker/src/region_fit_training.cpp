@@ -17,8 +17,8 @@ constexpr int kLane = 8;          ///< floats in a vector
 constexpr double kTiles = 100.0;  ///< about; enough for their scatter to be an estimate
 /// Error of the motion [px] whose residual does not make an outlier.
 constexpr float kMotionError = 0.15f;
-/// A residual's variance is hardly less: what the spline's kernel leaves of the noise between four pixels, 0.21 of white
-/// noise.
+/// A residual's variance is hardly less: what the spline's kernel leaves of the noise between four pixels, 0.21 of
+/// white noise.
 double leastNoise(const NoiseSpectrum& noise)
 {
   float weights[4];

@@ -18,8 +18,9 @@ cv::Size transformSize(const cv::Size& size)
 }
 
 /// What has no more power than so many times the noise in a band of a block is taken for noise. Some bands have few
-/// coefficients, and noise is not the same everywhere: in attenuation it is greater behind what is dense. (1 lets through
-/// so much that knee_real's fit does not converge; from 2 to 6 little changes there, on wrist_real and the thorax.)
+/// coefficients, and noise is not the same everywhere: in attenuation it is greater behind what is dense. (1 lets
+/// through so much that knee_real's fit does not converge; from 2 to 6 little changes there, on wrist_real and the
+/// thorax.)
 constexpr double kDoubtful = 4.0;
 
 /// Multiplies an image's cosine transform by weights of the transform's size.
@@ -57,7 +58,8 @@ cv::Mat withoutNoise(const cv::Mat& image, const NoiseSpectrum& noise)
 
   cv::Mat padded, block, coefficients;
   const auto up = [](int size) { return (size + kStep - 1) / kStep * kStep - size; };
-  cv::copyMakeBorder(image, padded, kMargin, kMargin + up(image.rows), kMargin, kMargin + up(image.cols), cv::BORDER_REFLECT);
+  cv::copyMakeBorder(image, padded, kMargin, kMargin + up(image.rows), kMargin, kMargin + up(image.cols),
+                     cv::BORDER_REFLECT);
   cv::Mat sum(padded.size(), CV_32F, cv::Scalar(0.0));
   for (int y = 0; y + kBlock <= padded.rows; y += kStep)
   {
@@ -73,7 +75,8 @@ cv::Mat withoutNoise(const cv::Mat& image, const NoiseSpectrum& noise)
       }
       for (std::size_t i = 1; i < band.size(); ++i)
       {
-        c[i] *= static_cast<float>(std::max(0.0, 1.0 - kDoubtful * expected[band[i]] / std::max(power[band[i]], 1e-30)));
+        c[i] *=
+            static_cast<float>(std::max(0.0, 1.0 - kDoubtful * expected[band[i]] / std::max(power[band[i]], 1e-30)));
       }
       cv::idct(coefficients, block);
       sum(place) += block.mul(window);
@@ -106,8 +109,7 @@ Whitening::Whitening(const cv::Size& grid, int step, const DifferenceModel& mode
     {
       const Eigen::Vector2d f = 0.5 * frequency(u, v);
       const double noise = 2.0 * model.noise.foldedPower(f.x(), f.y(), step);  // both images have it
-      weights_.at<float>(v, u) =
-          static_cast<float>(u + v > 2 ? 2.0 * variance / (noise + scale * overlay(u, v)) : 0.0);
+      weights_.at<float>(v, u) = static_cast<float>(u + v > 2 ? 2.0 * variance / (noise + scale * overlay(u, v)) : 0.0);
     }
   }
 }

@@ -13,9 +13,9 @@ struct DifferenceModel
   double background = 0.0;  ///< variance of the differences that an overlay moving on its own makes
 };
 
-/// The image without noise, as well as the spectra of blocks of 16 px, averaged over directions, tell both apart (Wiener).
-/// Noise in derivatives would answer to itself and make all other answers seem too small; not where edges are, which
-/// outweigh it, but where the fit has to do without edges.
+/// The image without noise, as well as the spectra of blocks of 16 px, averaged over directions, tell both apart
+/// (Wiener). Noise in derivatives would answer to itself and make all other answers seem too small; not where edges
+/// are, which outweigh it, but where the fit has to do without edges.
 /// @param image CV_32FC1
 cv::Mat withoutNoise(const cv::Mat& image, const NoiseSpectrum& noise);
 

@@ -196,7 +196,8 @@ std::string MotionEstimator::observe(std::size_t view, const ViewMeasurement& me
   observation.reference_rotation = reference_.linear() * measurement.room_from_patient.linear().transpose();
 
   Vector6d floor;
-  floor << Eigen::Vector2d::Constant(options_.floor_sigma / pixels_[view]), Eigen::Vector4d::Constant(options_.linear_floor_sigma);
+  floor << Eigen::Vector2d::Constant(options_.floor_sigma / pixels_[view]),
+      Eigen::Vector4d::Constant(options_.linear_floor_sigma);
   observation.warp_covariance = track.covariance;
   observation.warp_covariance.diagonal() += floor.cwiseAbs2();
   TrackParametersJacobian jacobian;

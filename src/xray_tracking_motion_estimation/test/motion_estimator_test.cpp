@@ -63,9 +63,9 @@ TEST(LeastSquares, FindsTheMinimumOfInconsistentTracks)
       {
         const Eigen::Vector2d residual = pixelOf(scene.views[i], scene.target + translation) -
                                          pixelOf(scene.views[i], scene.target) - tracks[i]->track.displacement;
-        const Eigen::Matrix2d covariance = tracks[i]->track.covariance.topLeftCorner<2, 2>() +
-                                           std::pow(options.floor_sigma / pixelAt(scene.views[i], scene.target), 2) *
-                                               Eigen::Matrix2d::Identity();
+        const Eigen::Matrix2d covariance =
+            tracks[i]->track.covariance.topLeftCorner<2, 2>() +
+            std::pow(options.floor_sigma / pixelAt(scene.views[i], scene.target), 2) * Eigen::Matrix2d::Identity();
         sum += residual.dot(covariance.inverse() * residual);
       }
       return sum;

@@ -71,7 +71,8 @@ public:
 
   /// As track(), from another start than the last good place, for a search of the whole image (RegionSearch) or a
   /// prediction. Where the template is not found, the last good place and whether it counts as lost are as before.
-  /// @param displacement of the region's centre, to within about 10 px: what is farther away, as a neighbouring vertebra
+  /// @param displacement of the region's centre, to within about 10 px: what is farther away, as a neighbouring
+  /// vertebra
   ///        is, is not looked at; the linear part starts as the identity
   virtual const TrackResult& trackFrom(const cv::Mat& image, const Eigen::Vector2d& displacement) = 0;
 

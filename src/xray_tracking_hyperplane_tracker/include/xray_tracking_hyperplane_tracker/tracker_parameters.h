@@ -24,9 +24,9 @@ enum class TrackingMethod
 struct TrackerParameters
 {
   TrackingMethod method = TrackingMethod::HYPERPLANE;
-  bool model_by_data = true;  ///< model `auto`: EUCLIDEAN where it tells a rotation, else TRANSLATION
-  HyperplaneTrackerOptions tracker;           ///< lengths, and reduction, as of scaleTo()
-  TemplateRegistrationOptions registration;   ///< the same
+  bool model_by_data = true;                 ///< model `auto`: EUCLIDEAN where it tells a rotation, else TRANSLATION
+  HyperplaneTrackerOptions tracker;          ///< lengths, and reduction, as of scaleTo()
+  TemplateRegistrationOptions registration;  ///< the same
   /// Lengths at the target [mm]: of pixels that the tracker works on, about, and what is in pixels in its options.
   double resolution = 0.25;
   std::vector<double> ranges{ 10.8, 4.3, 1.35 };

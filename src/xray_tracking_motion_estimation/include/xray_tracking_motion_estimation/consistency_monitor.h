@@ -24,8 +24,8 @@ struct ConsistencyOptions
   double significance = 0.002;
 
   /// Standard deviation of the part of a track's error that good exposures keep from one to the next, along either
-  /// pixel axis, at the target [mm], >= 0: surroundings that move otherwise than the target. It does not average out, so
-  /// it is the limit of what the window can find. 0 for a rigid phantom.
+  /// pixel axis, at the target [mm], >= 0: surroundings that move otherwise than the target. It does not average out,
+  /// so it is the limit of what the window can find. 0 for a rigid phantom.
   double persistent_sigma = 0.135;
 
   /// @throws std::invalid_argument naming the key, its value and what was expected

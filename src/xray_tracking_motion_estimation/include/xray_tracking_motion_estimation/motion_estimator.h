@@ -38,8 +38,8 @@ struct MotionEstimationOptions
   double significance = 0.001;
 
   /// Standard deviation of a track along either pixel axis that the tracker's own covariance does not know of, at the
-  /// target [mm], > 0: surroundings that move otherwise, blur. Added to every track's covariance in weights, results and
-  /// the consistency gate.
+  /// target [mm], > 0: surroundings that move otherwise, blur. Added to every track's covariance in weights, results
+  /// and the consistency gate.
   double floor_sigma = 0.135;
 
   /// The same for each of the four numbers of a track's linear part, > 0: what a rotation out of the plane does to a
@@ -106,10 +106,10 @@ struct MotionEstimate
   /// over the lever from the target to the origin, which may be long.
   Matrix6d pose_covariance = Matrix6d::Zero();
 
-  double disagreement = 0.0;   ///< RMS over the views of the distance between track and reprojected estimate [px]
+  double disagreement = 0.0;     ///< RMS over the views of the distance between track and reprojected estimate [px]
   double disagreement_mm = 0.0;  ///< the same at the target [mm]
-  double chi_square = 0.0;     ///< squared residuals in units of track covariance and floor, rotation in its sigma
-  int degrees_of_freedom = 0;  ///< of chi_square: the tracks' parameters less three
+  double chi_square = 0.0;       ///< squared residuals in units of track covariance and floor, rotation in its sigma
+  int degrees_of_freedom = 0;    ///< of chi_square: the tracks' parameters less three
   boost::container::static_vector<ViewResidual, kMaxViews> residuals;  ///< of the views that took part
 };
 
