@@ -7,6 +7,7 @@
 #include <vector>
 
 #include <gtest/gtest.h>
+#include <Eigen/Geometry>
 #include <opencv2/imgproc.hpp>
 
 #include "synthetic_exposure.h"
@@ -109,6 +110,44 @@ TEST(HyperplaneTracker, followsSubpixelMotionIn16Bit)
 TEST(HyperplaneTracker, followsSubpixelMotionIn8Bit)
 {
   followNoisyWalk(120.0, CV_8UC1, 0.03);
+}
+
+// Every pixel as three by three: their means are the image again, the displacement is three times as long.
+TEST(HyperplaneTracker, followsTheSameInAFinerImage)
+{
+  for (const int type : { CV_16UC1, CV_8UC1 })
+  {
+    const double full = type == CV_16UC1 ? 20000.0 : 120.0;
+    HyperplaneTrackerOptions options;
+    options.model = MotionModel::EUCLIDEAN;
+    const IntensityModel intensity = counts(type == CV_16UC1 ? kOffset : 0.0);
+    HyperplaneTracker coarse(options, intensity);
+    options.reduction = 3;
+    HyperplaneTracker fine(options, intensity);
+    const auto enlarged = [](const cv::Mat& image)
+    {
+      cv::Mat large;
+      cv::resize(image, large, {}, 3.0, 3.0, cv::INTER_NEAREST);
+      return large;
+    };
+    const cv::Rect large(3 * kRegion.tl(), 3 * kRegion.size());
+    coarse.train(expose({}, full, type), kRegion);
+    fine.train(enlarged(expose({}, full, type)), large);
+    EXPECT_EQ(fine.region(), large);
+    Exposure e;
+    e.displacement = { 5.3, -7.1 };
+    e.linear = Eigen::Rotation2Dd(0.03).toRotationMatrix();
+    e.noise = 0.01;
+    const TrackResult expected = coarse.track(expose(e, full, type));
+    const TrackResult& found = fine.track(enlarged(expose(e, full, type)));
+    EXPECT_EQ(found.status, TrackResult::Status::TRACKED);
+    // 8-bit images' means have further digits, so that the bins of these are not rounded.
+    EXPECT_LT((found.displacement - 3.0 * expected.displacement).norm(), 0.02) << found.displacement.transpose();
+    EXPECT_LT((found.linear - expected.linear).norm(), 1e-4);
+    EXPECT_NEAR(found.covariance(0, 0), 9.0 * expected.covariance(0, 0), 0.02 * found.covariance(0, 0));
+    EXPECT_LT((fine.trackFrom(enlarged(expose(e, full, type)), 3.0 * e.displacement).displacement -
+               3.0 * expected.displacement).norm(), 0.1);
+  }
 }
 
 TEST(TrackResult, tellsARotationFromItsError)
