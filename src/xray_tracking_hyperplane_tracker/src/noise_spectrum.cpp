@@ -34,14 +34,19 @@ double medianOf(std::vector<float>& values)
 
 NoiseSpectrum::NoiseSpectrum(const cv::Mat& values, const cv::Mat& usable, double least)
 {
-  // A Hann window, as a slope that ends at the block's border would be seen in all frequencies.
+  // A Hann window, as a slope that ends at the block's border would be seen in all frequencies; and what it makes of
+  // the variance of a transform's coefficient along one axis.
   cv::Mat window(kBlock, kBlock, CV_32F);
-  for (int v = 0; v < kBlock; ++v)
+  double gain[kBlock];
+  for (int u = 0; u < kBlock; ++u)
   {
-    for (int u = 0; u < kBlock; ++u)
+    const auto raised = [](int i) { return std::pow(std::sin(M_PI * (i + 0.5) / kBlock), 2); };
+    gain[u] = 0.0;
+    for (int i = 0; i < kBlock; ++i)
     {
-      const auto raised = [](int i) { return std::pow(std::sin(M_PI * (i + 0.5) / kBlock), 2); };
-      window.at<float>(v, u) = static_cast<float>(raised(u) * raised(v) / (3.0 / 8.0));  // of unit mean square
+      const double basis = std::sqrt((u == 0 ? 1.0 : 2.0) / kBlock) * std::cos(M_PI * (i + 0.5) * u / kBlock);
+      gain[u] += std::pow(raised(i) * basis, 2);
+      window.at<float>(i, u) = static_cast<float>(raised(i) * raised(u));
     }
   }
   std::array<std::vector<float>, kBands> magnitudes;
@@ -62,7 +67,8 @@ NoiseSpectrum::NoiseSpectrum(const cv::Mat& values, const cv::Mat& usable, doubl
         for (int u = 0; u < kBlock; ++u)
         {
           const double f = std::hypot(u, v) / (2.0 * kBlock);
-          const float magnitude = std::abs(coefficients.at<float>(v, u));
+          const float magnitude =
+              std::abs(coefficients.at<float>(v, u)) / static_cast<float>(std::sqrt(gain[u] * gain[v]));
           if (f >= kSlow && magnitude > 0.f)
           {
             magnitudes[static_cast<std::size_t>(f / kBandWidth + 0.5)].push_back(magnitude);

@@ -156,8 +156,8 @@ TEST(HyperplaneTrackerOnAnatomy, isNoWorseThanOthersOnTheThorax)
 }
 
 /// Metal that turns by up to 7.6 degrees and moves by 43 mm, beside another bone, in 8 bit with correlated noise: the
-/// reference is good to 0.2 mm. In a view a plate that turns out of the plane looks otherwise by some pixels, of which a
-/// motion in the plane keeps a part.
+/// reference is good to 0.2 mm. In a view a plate that turns out of the plane looks otherwise by some pixels, of which
+/// a motion in the plane keeps a part.
 TEST(HyperplaneTrackerOnAnatomy, followsARealKneeInEveryExposure)
 {
   const char* folder = std::getenv("XRAY_TRACKING_SHARED_DATA");

@@ -146,7 +146,9 @@ TEST(HyperplaneTracker, followsTheSameInAFinerImage)
     EXPECT_LT((found.linear - expected.linear).norm(), 1e-4);
     EXPECT_NEAR(found.covariance(0, 0), 9.0 * expected.covariance(0, 0), 0.02 * found.covariance(0, 0));
     EXPECT_LT((fine.trackFrom(enlarged(expose(e, full, type)), 3.0 * e.displacement).displacement -
-               3.0 * expected.displacement).norm(), 0.1);
+               3.0 * expected.displacement)
+                  .norm(),
+              0.1);
   }
 }
 
