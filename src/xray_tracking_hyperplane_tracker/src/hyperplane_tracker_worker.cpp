@@ -87,12 +87,17 @@ void HyperplaneTrackerRos::configure()
     {
       const TreatmentSetup setup = loadTreatmentSetup(parameters_.setup_file);
       intensity_ = setup.intensity;
+      const ProjectionGeometry& geometry = setup.detector(parameters_.detector);
+      const double magnification = geometry.magnification(setup.room_from_patient * setup.targetCentre());
+      if (!(magnification > 0.0))
+      {
+        throw std::invalid_argument("the target is not in front of the source of " + geometry.name());
+      }
+      parameters_.scaleTo(geometry.pixelPitch().mean() / magnification);
       const auto given = setup.regions.find(parameters_.detector);
       if (!configured_region_)
       {
-        configured_region_ = given != setup.regions.end()
-                                 ? given->second
-                                 : projectedTargetRegion(setup, setup.detector(parameters_.detector));
+        configured_region_ = given != setup.regions.end() ? given->second : projectedTargetRegion(setup, geometry);
       }
     }
     region_ = configured_region_;
@@ -122,7 +127,7 @@ void HyperplaneTrackerRos::makeTracker()
     registration_ = registration.get();
     tracker = std::move(registration);
   }
-  tracker_.emplace(std::move(tracker), intensity_);
+  tracker_.emplace(std::move(tracker), intensity_, parameters_.tracker.reduction);
 }
 
 void HyperplaneTrackerRos::adoptSettings()
@@ -337,7 +342,12 @@ std::string HyperplaneTrackerRos::train(const cv::Mat& pixels, const cv::Rect& r
 
 void HyperplaneTrackerRos::track(const cv::Mat& pixels, TrackedRegion& result)
 {
-  const TrackResult& track = tracker_->track(pixels);
+  TrackResult track = tracker_->track(pixels);
+  if (parameters_.model_by_data && !tellsRotation(track))
+  {
+    track = withoutLinearPart(track);
+    result.model = TrackedRegion::TRANSLATION;
+  }
   result.correlation = finiteOrZero(track.correlation);
   result.quality = finiteOrZero(track.quality);
   result.iterations = static_cast<std::uint32_t>(track.iterations);

@@ -159,6 +159,7 @@ class HyperplaneTrackerTest(TrackerTestCase):
     def test_faulty_settings_leave_exposures_untrained(self):
         for name, parts in (("outside_region", ["100 x 90 at (200, 55)", "240 x 200"]),
                             ("bad_parameter", ["points", "many"]),
+                            ("bad_resolution", ["resolution is 0", "mm at the target"]),
                             ("missing_setup", ["/nowhere/setup.yaml"])):
             detector = self.connect(name)
             for _ in range(3):

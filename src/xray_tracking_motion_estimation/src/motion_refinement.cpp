@@ -84,7 +84,7 @@ void MotionEstimationRos::considerRefinement(const PatientMotion& motion, const 
   tracked_views_.push_back(std::move(tracked));
 
   TrackedExposure exposure{ assembler_->stamp(), last_pose_ ? last_pose_->second : reference_, PoseCovariance::Zero(),
-                            motion.disagreement, motion.state == PatientMotion::OK };
+                            estimate ? estimate->disagreement_mm : 0.0, motion.state == PatientMotion::OK };
   if (exposure.measured)
   {
     exposure.covariance = estimate->pose_covariance;

@@ -22,8 +22,9 @@ namespace xray_tracking
 class RecoveringTracker
 {
 public:
-  RecoveringTracker(std::unique_ptr<RegionTracker> tracker, const IntensityModel& intensity)
-    : tracker_(std::move(tracker)), intensity_(intensity)
+  /// @param reduction as RegionSearch's
+  RecoveringTracker(std::unique_ptr<RegionTracker> tracker, const IntensityModel& intensity, int reduction = 1)
+    : tracker_(std::move(tracker)), intensity_(intensity), reduction_(reduction)
   {
   }
 
@@ -40,12 +41,17 @@ public:
 private:
   void recover(const cv::Mat& image);
   bool asBefore(const TrackResult& found) const;
+  bool isTemplates(const cv::Mat& image) const;
 
   std::unique_ptr<RegionTracker> tracker_;
   IntensityModel intensity_;
+  int reduction_;
   std::optional<RegionSearch> search_;
   Eigen::Vector2d last_good_ = Eigen::Vector2d::Zero();  ///< displacement [px]
-  std::optional<double> usual_unexplained_;              ///< 1 - correlation^2, running mean over the tracked images
+  cv::Mat template_pixels_;                              ///< of the region
+  /// 1 - correlation^2: the most that tracked images have left, those long ago less. Nothing if there was no image but
+  /// the template's own, which leaves nothing whatever the region usually does.
+  std::optional<double> usual_unexplained_;
   bool lost_ = false;
   TrackResult result_;
 };
