@@ -112,6 +112,7 @@ TEST(Sequence, ReadsEverything)
   EXPECT_LT((setup.room_from_patient.linear() * Eigen::Vector3d::UnitY() + Eigen::Vector3d::UnitZ()).norm(), 1e-12);
   EXPECT_LT((setup.room_from_patient.linear() * Eigen::Vector3d::UnitX() + Eigen::Vector3d::UnitY()).norm(), 1e-12);
   EXPECT_EQ(setup.targetCentre(), Eigen::Vector3d(0.0, 1.0, 3.0));
+  EXPECT_EQ(setup.ct_content, CtContent::RECOGNISED);
   EXPECT_EQ(setup.regions.size(), 1u);
   EXPECT_EQ(setup.regions.at("detector_a"), cv::Rect(1, 0, 5, 4));
 
@@ -271,6 +272,7 @@ TEST(TreatmentSetup, RejectsBadFiles)
   expectRejected("[0.5, -0.5, 0.5, -0.5]", "[0.5, -0.5, 0.5, 0]", { "initial_pose", "unit norm" });
   expectRejected("initial_pose:", "pose:", { "initial_pose", "missing" });
   expectRejected("max: [10, 22, 36]", "max: [10, -22, 36]", { "target_box_mm", "-22", "below" });
+  expectRejected("site: a key", "ct_content: bones\nsite: a key", { "ct_content", "bones", "bone_in_air" });
   expectRejected("  detector_a: {x", "  detector_c: {x", { "regions.detector_c", "detector_a, detector_b" });
   expectRejected("width: 5", "width: 6", { "regions.detector_a", "inside the image of 6 x 4" });
   expectRejected("width: 5", "width: 0", { "regions.detector_a", "inside the image" });
@@ -307,8 +309,10 @@ TEST(TreatmentSetup, ComesBackAsWritten)
   setup.intensity.kind = IntensityModel::Kind::ATTENUATION;
   setup.room_from_patient = motionAbout({ 1.0 / 3.0, 2.0, 3.0 }, Twist::Constant(0.1));
   const std::string path = folder.folder().path("setup.yaml");
+  setup.ct_content = CtContent::BONE_IN_AIR;
   saveTreatmentSetup(setup, path);
   const TreatmentSetup back = loadTreatmentSetup(path);
+  EXPECT_EQ(back.ct_content, CtContent::BONE_IN_AIR);
   EXPECT_EQ(back.ct_path, setup.ct_path);
   EXPECT_EQ(back.intensity.kind, setup.intensity.kind);
   EXPECT_EQ(back.intensity.offset, setup.intensity.offset);

@@ -46,7 +46,7 @@ struct Objective
                       [&](std::size_t v)
                       {
                         cv::Mat image;
-                        views[v].modelImage(bodies, poses, image);
+                        views[v].modelImage(bodies, poses, poses.saturationOf(v), image);
                         values[v] = similarity(views[v].measuredImage(), image);
                       });
     double mean = 0.0;

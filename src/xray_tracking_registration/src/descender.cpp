@@ -12,8 +12,8 @@ namespace xray_tracking
 {
 namespace
 {
-constexpr Resolution kMedium{ 1.6, 5.0 };
-constexpr Resolution kFineWide{ 1.6, 16.0 };  // for similarities that live on the large structures too
+constexpr Resolution kMedium{ 1.1, 3.5 };
+constexpr Resolution kFineWide{ 1.1, 11.0 };  // for similarities that live on the large structures too
 constexpr Descent kTogether{ 12, 3e-3 };
 constexpr Descent kApart{ 8, 3e-3 };
 constexpr Descent kFinish{ 15, 1e-4 };
@@ -47,9 +47,10 @@ std::vector<ViewLevel> Descender::makeViews(const Run& run, const PosePair& pose
   for (std::size_t v = 0; v < run.attenuation.size(); ++v)
   {
     const RegistrationView& view = run.request.views[v];
-    const double voxel = voxel_edge_ * view.geometry.magnification(poses.target * bodies_.centre);
-    const Resolution able{ std::max(resolution.bin_mm, 0.5 * voxel), std::max(resolution.highpass_mm, voxel) };
-    views.emplace_back(view.geometry, run.attenuation[v], region(view, poses.target), able, ends);
+    const double magnification = view.geometry.magnification(poses.target * bodies_.centre);
+    const Resolution able{ magnification * std::max(resolution.bin_mm, 0.5 * voxel_edge_),
+                           magnification * std::max(resolution.highpass_mm, voxel_edge_) };
+    views.emplace_back(view.geometry, run.attenuation[v], view.usable, region(view, poses.target), able, ends);
   }
   return views;
 }
@@ -139,6 +140,7 @@ void Descender::judge(const Run& run, const RestPrior& prior, const std::vector<
   for (std::size_t v = 0; v < outcome.views.size(); ++v)
   {
     outcome.views[v].coarse_similarity = wide.similarity[v];
+    outcome.views[v].saturation = poses.saturationOf(v);
   }
   outcome.covariance = poseCovariance(fine, at, prior, poses, bodies_);
   outcome.doubt = doubt(outcome.views, outcome.covariance, options_);

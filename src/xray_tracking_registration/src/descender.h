@@ -13,8 +13,8 @@
 
 namespace xray_tracking
 {
-constexpr Resolution kCoarse{ 3.2, 16.0 };
-constexpr Resolution kFine{ 1.6, 1.6 };
+constexpr Resolution kCoarse{ 2.2, 11.0 };
+constexpr Resolution kFine{ 1.1, 1.1 };
 
 /// Which levels a descent goes through before the finest one.
 enum class Path
@@ -54,8 +54,8 @@ public:
   /// Along a path to the finest level, and then judged. Derivative-free optimisers have a path of their own.
   Outcome descend(const Run& run, const PosePair& start, Path path) const;
 
-  /// Neither bins below half of a CT's voxel, as it appears on the detector, nor a high-pass finer than it: there is
-  /// only noise to compare.
+  /// Of a resolution in mm at the target, so that nothing hangs on the panel's pitch or the magnification. Neither bins
+  /// below half of a CT's voxel nor a high-pass finer than it: there is only noise to compare.
   /// @throws std::invalid_argument naming the view that does not see the target, or as ViewLevel
   std::vector<ViewLevel> makeViews(const Run& run, const PosePair& poses, const Resolution& resolution) const;
 

@@ -16,6 +16,9 @@ constexpr double kSmallTranslation = 0.01;  // a step that ends the iterations [
 constexpr double kSmallRotation = 0.01 * M_PI / 180.0;
 constexpr int kMaxRejections = 2;
 constexpr double kMinGain = 0.05;  // of a model that is not yet like the image
+constexpr double kMaxSaturation = 3.0;
+/// What is known of a saturation before the images are seen: 0.2 within 0.5, from patients' trunks to metal.
+constexpr double kSaturationInformation = 4.0;
 
 /// Standard deviation of what counts, from the median size.
 float robustDeviation(const Eigen::VectorXf& residual, const Eigen::VectorXf& valid)
@@ -90,12 +93,13 @@ Linearisation linearise(const std::vector<ViewLevel>& views, const Bodies& bodie
                     [&](std::size_t v)
                     {
                       ViewModel& model = at.models[v];
-                      views[v].model(bodies, poses, moving, model);
+                      views[v].model(bodies, poses, poses.saturationOf(v), moving, model);
                       at.similarity[v] = views[v].measured().dot(model.image);
                       // The model's share in the measured image: what is left is noise.
                       const auto gain = static_cast<float>(std::max(at.similarity[v], kMinGain));
                       model.image *= gain;
                       model.derivatives *= gain;
+                      model.by_saturation *= gain;
                       Eigen::VectorXf deformation = Eigen::VectorXf::Zero(model.image.size());
                       if (moving == Moving::BOTH)
                       {
@@ -107,17 +111,25 @@ Linearisation linearise(const std::vector<ViewLevel>& views, const Bodies& bodie
   return at;
 }
 
-NormalEquations normalEquations(const std::vector<ViewLevel>& views, const Linearisation& at)
+NormalEquations viewEquations(const ViewLevel& view, const Linearisation& at, std::size_t v, std::size_t views,
+                              Eigen::Index first, Eigen::Index count)
 {
-  const auto unknowns = at.models.front().derivatives.cols();
+  const auto derivatives = at.models[v].derivatives.middleRows(first, count);
+  const auto by_saturation = at.models[v].by_saturation.segment(first, count);
+  const auto weights = at.weights[v].segment(first, count);
+  const Eigen::Index twists = derivatives.cols();
+  const Eigen::Index k = twists + static_cast<Eigen::Index>(v);
+  const auto unknowns = twists + static_cast<Eigen::Index>(views);
   NormalEquations equations{ Eigen::MatrixXd::Zero(unknowns, unknowns), Eigen::VectorXd::Zero(unknowns) };
-  for (std::size_t v = 0; v < views.size(); ++v)
-  {
-    const Eigen::MatrixXf& derivatives = at.models[v].derivatives;
-    const Eigen::MatrixXf weighted = at.weights[v].asDiagonal() * derivatives;
-    equations.information += (derivatives.transpose() * weighted).cast<double>();
-    equations.gradient += (weighted.transpose() * (views[v].measured() - at.models[v].image)).cast<double>();
-  }
+  const Eigen::MatrixXf weighted = weights.asDiagonal() * derivatives;
+  const Eigen::VectorXf weighted_k = weights.cwiseProduct(by_saturation);
+  const Eigen::VectorXf difference = view.measured().segment(first, count) - at.models[v].image.segment(first, count);
+  equations.information.topLeftCorner(twists, twists) = (derivatives.transpose() * weighted).cast<double>();
+  equations.information.col(k).head(twists) = (derivatives.transpose() * weighted_k).cast<double>();
+  equations.information.row(k).head(twists) = equations.information.col(k).head(twists).transpose();
+  equations.information(k, k) = by_saturation.dot(weighted_k);
+  equations.gradient.head(twists) = (weighted.transpose() * difference).cast<double>();
+  equations.gradient[k] = weighted_k.dot(difference);
   return equations;
 }
 
@@ -126,26 +138,44 @@ Twist RestPrior::deviation(const PosePair& poses, const Eigen::Vector3d& centre)
   return twistAbout(poses.target * centre, poses.rest * (poses.target * target_from_rest).inverse());
 }
 
-void addPrior(const RestPrior& prior, const PosePair& poses, const Eigen::Vector3d& centre, NormalEquations& equations)
+NormalEquations normalEquations(const std::vector<ViewLevel>& views, const Linearisation& at, const RestPrior& prior,
+                                const PosePair& poses, const Eigen::Vector3d& centre)
 {
-  const Twist pull = -prior.information.cwiseProduct(prior.deviation(poses, centre));
-  equations.gradient.tail<6>() += pull;
-  equations.gradient.head<6>() -= pull;
-  const Eigen::Matrix<double, 6, 6> information = prior.information.asDiagonal();
-  equations.information.topLeftCorner<6, 6>() += information;
-  equations.information.bottomRightCorner<6, 6>() += information;
-  equations.information.topRightCorner<6, 6>() -= information;
-  equations.information.bottomLeftCorner<6, 6>() -= information;
+  const Eigen::Index twists = at.models.front().derivatives.cols();
+  const auto unknowns = twists + static_cast<Eigen::Index>(views.size());
+  NormalEquations equations{ Eigen::MatrixXd::Zero(unknowns, unknowns), Eigen::VectorXd::Zero(unknowns) };
+  for (std::size_t v = 0; v < views.size(); ++v)
+  {
+    const NormalEquations part =
+        viewEquations(views[v], at, v, views.size(), 0, static_cast<Eigen::Index>(at.weights[v].size()));
+    equations.information += part.information;
+    equations.gradient += part.gradient;
+    const auto k = twists + static_cast<Eigen::Index>(v);
+    equations.information(k, k) += kSaturationInformation;
+    equations.gradient[k] += kSaturationInformation * (kUsualSaturation - poses.saturationOf(v));
+  }
+  if (twists == 12)
+  {
+    const Twist pull = -prior.information.cwiseProduct(prior.deviation(poses, centre));
+    equations.gradient.segment<6>(6) += pull;
+    equations.gradient.head<6>() -= pull;
+    const Eigen::Matrix<double, 6, 6> information = prior.information.asDiagonal();
+    equations.information.block<6, 6>(0, 0) += information;
+    equations.information.block<6, 6>(6, 6) += information;
+    equations.information.block<6, 6>(0, 6) -= information;
+    equations.information.block<6, 6>(6, 0) -= information;
+  }
+  return equations;
 }
 
-PosePair moved(const PosePair& poses, const Eigen::VectorXd& step, const Eigen::Vector3d& centre, Moving moving)
+PosePair moved(const PosePair& poses, const Eigen::VectorXd& twists, const Eigen::Vector3d& centre, Moving moving)
 {
   const Eigen::Vector3d room_centre = poses.target * centre;
   PosePair result = poses;
-  result.target = motionAbout(room_centre, step.head<6>()) * poses.target;
+  result.target = motionAbout(room_centre, twists.head<6>()) * poses.target;
   if (moving != Moving::TARGET)
   {
-    result.rest = motionAbout(room_centre, step.tail<6>()) * poses.rest;
+    result.rest = motionAbout(room_centre, twists.tail<6>()) * poses.rest;
   }
   return result;
 }
@@ -156,17 +186,19 @@ Linearisation gaussNewton(const std::vector<ViewLevel>& views, const Bodies& bod
   const auto priorCost = [&](const PosePair& at)
   {
     const Twist deviation = prior.deviation(at, bodies.centre);
-    return moving == Moving::BOTH ? deviation.dot(prior.information.cwiseProduct(deviation)) : 0.0;
+    double cost = moving == Moving::BOTH ? deviation.dot(prior.information.cwiseProduct(deviation)) : 0.0;
+    for (const double k : at.saturation)
+    {
+      cost += kSaturationInformation * (k - kUsualSaturation) * (k - kUsualSaturation);
+    }
+    return cost;
   };
+  poses.saturation.resize(views.size(), kUsualSaturation);
   Linearisation best = linearise(views, bodies, poses, moving);
   double damping = 1e-3;
   for (int iteration = 0; iteration < descent.max_iterations; ++iteration)
   {
-    NormalEquations equations = normalEquations(views, best);
-    if (moving == Moving::BOTH)
-    {
-      addPrior(prior, poses, bodies.centre, equations);
-    }
+    const NormalEquations equations = normalEquations(views, best, prior, poses, bodies.centre);
     const double cost = best.cost(views, best.weights) + priorCost(poses);
     bool improved = false;
     bool small = false;
@@ -179,8 +211,14 @@ Linearisation gaussNewton(const std::vector<ViewLevel>& views, const Bodies& bod
       {
         return best;
       }
-      small = isSmall(step);  // the last step, whether it helps or not
-      const PosePair trial = moved(poses, step, bodies.centre, moving);
+      const Eigen::VectorXd twists = step.head(step.size() - static_cast<Eigen::Index>(views.size()));
+      small = isSmall(twists);  // the last step, whether it helps or not
+      PosePair trial = moved(poses, twists, bodies.centre, moving);
+      for (std::size_t v = 0; v < views.size(); ++v)
+      {
+        trial.saturation[v] =
+            std::clamp(poses.saturation[v] + step[twists.size() + static_cast<Eigen::Index>(v)], 0.0, kMaxSaturation);
+      }
       if (control.inBounds(trial.target))
       {
         if (!control.mayRender(poses.target, best.meanSimilarity()))

@@ -36,18 +36,23 @@ struct RestPrior
 Linearisation linearise(const std::vector<ViewLevel>& views, const Bodies& bodies, const PosePair& poses,
                         Moving moving);
 
-/// Normal equations of a linearisation; unknowns in rad and mm.
+/// Normal equations of a linearisation; unknowns are the twists [rad, mm], then the saturation of every view.
 struct NormalEquations
 {
   Eigen::MatrixXd information;
   Eigen::VectorXd gradient;
 };
-NormalEquations normalEquations(const std::vector<ViewLevel>& views, const Linearisation& at);
-/// Adds the prior's to those of 12 unknowns.
-void addPrior(const RestPrior& prior, const PosePair& poses, const Eigen::Vector3d& centre, NormalEquations& equations);
+/// Those of one view's pixels `first` to `first + count` alone.
+/// @param v number of the view, of `views` in all
+NormalEquations viewEquations(const ViewLevel& view, const Linearisation& at, std::size_t v, std::size_t views,
+                              Eigen::Index first, Eigen::Index count);
+/// Those of all images and of what is known beforehand: of each view's saturation, and, where both bodies move, of the
+/// rest.
+NormalEquations normalEquations(const std::vector<ViewLevel>& views, const Linearisation& at, const RestPrior& prior,
+                                const PosePair& poses, const Eigen::Vector3d& centre);
 
-/// Moves both bodies by a step of the unknowns.
-PosePair moved(const PosePair& poses, const Eigen::VectorXd& step, const Eigen::Vector3d& centre, Moving moving);
+/// Moves both bodies by a step of the twists.
+PosePair moved(const PosePair& poses, const Eigen::VectorXd& twists, const Eigen::Vector3d& centre, Moving moving);
 
 /// When a descent ends, at the latest.
 struct Descent

@@ -20,10 +20,48 @@ Eigen::VectorXf flattened(const cv::Mat& image)
   }
   return values;
 }
+
+/// Multiplies all channels of every pixel by the pixel's factor.
+void scaleRows(const cv::Mat& factors, cv::Mat& image)
+{
+  const int channels = image.channels();
+  for (int row = 0; row < image.rows; ++row)
+  {
+    const float* factor = factors.ptr<float>(row);
+    float* values = image.ptr<float>(row);
+    for (int column = 0; column < image.cols; ++column)
+    {
+      for (int channel = 0; channel < channels; ++channel)
+      {
+        *values++ *= factor[column];
+      }
+    }
+  }
+}
+
+/// Line integrals L become (1 - exp(-k L)) / k. @param slope out, derivative by L; @param by_saturation out, by k
+void saturate(double saturation, cv::Mat& image, cv::Mat& slope, cv::Mat& by_saturation)
+{
+  using Values = Eigen::Map<Eigen::ArrayXf>;
+  const auto mapped = [](cv::Mat& mat) { return Values(mat.ptr<float>(), static_cast<Eigen::Index>(mat.total())); };
+  slope.create(image.size(), CV_32FC1);
+  by_saturation.create(image.size(), CV_32FC1);
+  // Below, the closed forms lose their digits in single precision; the attenuation is then straight to 1 or 2 %.
+  const float k = std::max(static_cast<float>(saturation), 0.01f);
+  Values values = mapped(image);
+  Values slopes = mapped(slope);
+  slopes = (-k * values).exp();
+  const Eigen::ArrayXf saturated = (1.0f - slopes) / k;
+  mapped(by_saturation) = (values * slopes - saturated) / k;
+  values = saturated;
+}
+
+constexpr double kLeastShare = 0.5;    // of a region that has to count
+constexpr double kUsableShare = 0.75;  // of a bin's pixels
 }  // namespace
 
-ViewLevel::ViewLevel(const ProjectionGeometry& geometry, const cv::Mat& attenuation, const cv::Rect& region,
-                     const Resolution& resolution, const std::vector<PlacedEnds>& ends)
+ViewLevel::ViewLevel(const ProjectionGeometry& geometry, const cv::Mat& attenuation, const cv::Mat& usable,
+                     const cv::Rect& region, const Resolution& resolution, const std::vector<PlacedEnds>& ends)
   : geometry_(&geometry)
 {
   const int bin = std::max(1, static_cast<int>(std::lround(resolution.bin_mm / geometry.pixelPitch().mean())));
@@ -44,12 +82,26 @@ ViewLevel::ViewLevel(const ProjectionGeometry& geometry, const cv::Mat& attenuat
                                 " pixels, too few of them in the image: expected at least " +
                                 std::to_string(kMinEdge * bin) + " along either edge and some border");
   }
-  grid_ = PixelGrid::binnedRegion({ bordered.x * bin, bordered.y * bin },
-                                  { bordered.width * bin, bordered.height * bin }, bin);
+  const cv::Rect pixels(bordered.x * bin, bordered.y * bin, bordered.width * bin, bordered.height * bin);
+  grid_ = PixelGrid::binnedRegion({ pixels.x, pixels.y }, { pixels.width, pixels.height }, bin);
   cv::Mat binned;
-  cv::resize(attenuation(cv::Rect(bordered.x * bin, bordered.y * bin, bordered.width * bin, bordered.height * bin)),
-             binned, bordered.size(), 0.0, 0.0, cv::INTER_AREA);
-  leaveOut(ends);
+  cv::Mat shares;
+  if (usable.empty() || cv::countNonZero(usable(pixels)) == pixels.area())
+  {
+    cv::resize(attenuation(pixels), binned, bordered.size(), 0.0, 0.0, cv::INTER_AREA);
+  }
+  else
+  {
+    // Means of what is usable alone.
+    cv::Mat used;
+    cv::Mat weight;
+    attenuation(pixels).copyTo(used, usable(pixels));
+    usable(pixels).convertTo(weight, CV_32F, 1.0 / 255.0);
+    cv::resize(used, binned, bordered.size(), 0.0, 0.0, cv::INTER_AREA);
+    cv::resize(weight, shares, bordered.size(), 0.0, 0.0, cv::INTER_AREA);
+    binned /= cv::max(shares, 1e-3);
+  }
+  leaveOut(shares, ends);
   measured_image_ = highPassed(binned).clone();
   measured_ = flattened(measured_image_);
   if (normalise(measured_) == 0.0f)
@@ -58,7 +110,7 @@ ViewLevel::ViewLevel(const ProjectionGeometry& geometry, const cv::Mat& attenuat
   }
 }
 
-void ViewLevel::leaveOut(const std::vector<PlacedEnds>& ends)
+void ViewLevel::leaveOut(const cv::Mat& usable, const std::vector<PlacedEnds>& ends)
 {
   cv::Mat inside(grid_.size.y(), grid_.size.x(), CV_32FC1, 1.0f);
   for (const PlacedEnds& placed : ends)
@@ -78,38 +130,51 @@ void ViewLevel::leaveOut(const std::vector<PlacedEnds>& ends)
   }
   // The pose is not the final one, and a bin's other rays are to be inside too.
   cv::erode(inside, inside, cv::Mat(), cv::Point(-1, -1), 2, cv::BORDER_REFLECT);
-  valid_ = flattened(inside(cv::Rect(border_, border_, size_.width, size_.height)));
-  if (valid_.mean() < 0.5f)
+  const cv::Rect without_border(border_, border_, size_.width, size_.height);
+  const double in_ct = cv::mean(inside(without_border))[0];
+  if (!usable.empty())
   {
-    throw std::invalid_argument("view " + geometry_->name() + ": the CT ends inside the region to compare, " +
-                                std::to_string(static_cast<int>(100.0f * valid_.mean())) +
+    inside.setTo(0.0f, usable < kUsableShare);
+  }
+  const double left = cv::mean(inside(without_border))[0];
+  if (left < kLeastShare)
+  {
+    const std::string why = in_ct < kLeastShare ? "the CT ends inside the region to compare, "
+                                                : "much of the region to compare is not usable (borders, defects), ";
+    throw std::invalid_argument("view " + geometry_->name() + ": " + why +
+                                std::to_string(static_cast<int>(100.0 * left)) +
                                 " % of it are left: expected 50 % or more");
   }
+  valid_ = flattened(inside(without_border));
   if (cv::countNonZero(inside) < static_cast<int>(inside.total()))
   {
-    inside_ct_ = inside;
+    counts_ = inside;
+    inverse_share_ = 1.0 / cv::max(blurred(inside), 1e-3);
   }
+}
+
+cv::Mat ViewLevel::blurred(const cv::Mat& image) const
+{
+  cv::Mat smooth;
+  cv::GaussianBlur(image, smooth, cv::Size(), sigma_, sigma_, cv::BORDER_REFLECT);
+  return smooth(cv::Rect(border_, border_, size_.width, size_.height));
 }
 
 cv::Mat ViewLevel::highPassed(const cv::Mat& image) const
 {
-  const cv::Rect inside(border_, border_, size_.width, size_.height);
-  const auto blurred = [&](const cv::Mat& sharp)
+  const cv::Rect without_border(border_, border_, size_.width, size_.height);
+  if (counts_.empty())
   {
-    cv::Mat smooth;
-    cv::GaussianBlur(sharp, smooth, cv::Size(), sigma_, sigma_, cv::BORDER_REFLECT);
-    return cv::Mat(smooth(inside));
-  };
-  if (inside_ct_.empty())
-  {
-    return image(inside) - blurred(image);
+    return image(without_border) - blurred(image);
   }
   // The local mean of what counts alone.
-  cv::Mat counts;
-  cv::merge(std::vector<cv::Mat>(image.channels(), inside_ct_), counts);
-  cv::Mat shares = blurred(counts);
-  cv::max(shares, 1e-3, shares);
-  return (image(inside) - blurred(image.mul(counts)).mul(1.0 / shares)).mul(counts(inside));
+  cv::Mat counted = image.clone();
+  scaleRows(counts_, counted);
+  cv::Mat mean = blurred(counted);
+  scaleRows(inverse_share_, mean);
+  cv::Mat passed = image(without_border) - mean;
+  scaleRows(counts_(without_border), passed);
+  return passed;
 }
 
 float ViewLevel::normalise(Eigen::VectorXf& image) const
@@ -126,16 +191,20 @@ float ViewLevel::normalise(Eigen::VectorXf& image) const
   return norm;
 }
 
-void ViewLevel::modelImage(const Bodies& bodies, const PosePair& poses, cv::Mat& image) const
+void ViewLevel::modelImage(const Bodies& bodies, const PosePair& poses, double saturation, cv::Mat& image) const
 {
   bodies.target->render(*geometry_, grid_, poses.target, poses.target * bodies.centre, image);
   cv::Mat rest;
   bodies.rest->render(*geometry_, grid_, poses.rest, poses.target * bodies.centre, rest);
   image += rest;
+  cv::Mat slope;
+  cv::Mat by_saturation;
+  saturate(saturation, image, slope, by_saturation);
   image = highPassed(image);
 }
 
-void ViewLevel::model(const Bodies& bodies, const PosePair& poses, Moving moving, ViewModel& model) const
+void ViewLevel::model(const Bodies& bodies, const PosePair& poses, double saturation, Moving moving,
+                      ViewModel& model) const
 {
   cv::Mat image;
   std::array<cv::Mat, 2> derivatives;
@@ -151,6 +220,9 @@ void ViewLevel::model(const Bodies& bodies, const PosePair& poses, Moving moving
     bodies.rest->render(*geometry_, grid_, poses.rest, centre, rest);
   }
   image += rest;
+  cv::Mat slope;
+  cv::Mat by_saturation;
+  saturate(saturation, image, slope, by_saturation);
   if (moving == Moving::TOGETHER)
   {
     derivatives[0] += derivatives[1];
@@ -161,6 +233,7 @@ void ViewLevel::model(const Bodies& bodies, const PosePair& poses, Moving moving
   model.derivatives.resize(pixels, 6 * twists);
   for (int body = 0; body < twists; ++body)
   {
+    scaleRows(slope, derivatives[body]);
     const cv::Mat passed = highPassed(derivatives[body]);
     for (int row = 0; row < size_.height; ++row)
     {
@@ -169,18 +242,25 @@ void ViewLevel::model(const Bodies& bodies, const PosePair& poses, Moving moving
           Eigen::Map<const Rows>(passed.ptr<float>(row), size_.width, 6);
     }
   }
+  model.by_saturation = flattened(highPassed(by_saturation));
   const float norm = normalise(model.image);
   if (norm == 0.0f)
   {
     model.derivatives.setZero();
+    model.by_saturation.setZero();
     return;
   }
   // Derivative of (I - mean(I)) / |I - mean(I)|: what lies along the image itself is taken away.
+  const float counted = valid_.sum();
+  const auto projectOut = [&](auto column)
+  {
+    column.array() -= column.dot(valid_) / counted * valid_.array();
+    column = (column - model.image * model.image.dot(column)) / norm;
+  };
   for (int n = 0; n < model.derivatives.cols(); ++n)
   {
-    auto column = model.derivatives.col(n);
-    column.array() -= column.dot(valid_) / valid_.sum() * valid_.array();
-    column = (column - model.image * model.image.dot(column)) / norm;
+    projectOut(model.derivatives.col(n));
   }
+  projectOut(model.by_saturation.col(0));
 }
 }  // namespace xray_tracking

@@ -10,11 +10,26 @@
 
 namespace xray_tracking
 {
-/// Poses of the two bodies: room_from_patient of each.
+/// What an attenuation of 1 is short of by scatter, hardening and glare where nothing is known yet: see PosePair.
+constexpr double kUsualSaturation = 0.2;
+
+/// Poses of the two bodies: room_from_patient of each; and how the views' attenuation saturates.
+///
+/// Scatter, beam hardening and glare make of the line integral L what is measured as (1 - exp(-k L)) / k, with the
+/// saturation k of the view: 0 for an ideal beam, 0.1 to 0.3 for a patient's trunk, 1 and more for metal.
 struct PosePair
 {
-  RigidTransform target;
-  RigidTransform rest;
+  PosePair(const RigidTransform& room_from_target, const RigidTransform& room_from_rest)
+    : target(room_from_target), rest(room_from_rest)
+  {
+  }
+  PosePair() = default;
+
+  double saturationOf(std::size_t view) const { return view < saturation.size() ? saturation[view] : kUsualSaturation; }
+
+  RigidTransform target = RigidTransform::Identity();
+  RigidTransform rest = RigidTransform::Identity();
+  std::vector<double> saturation;  ///< k, one a view; the usual one where there is none
 };
 
 /// What moves, and so the unknowns: twists about the target's centre in the room.
@@ -25,7 +40,7 @@ enum class Moving
   BOTH       ///< 12: the target's, then the rest's
 };
 
-/// At what resolution images are compared, in mm on the detector.
+/// At what resolution images are compared [mm], here at the target, in ViewLevel on the panel.
 struct Resolution
 {
   double bin_mm;       ///< edge of the bins
@@ -35,8 +50,9 @@ struct Resolution
 /// What one view's model image says of a pose: normalised image and its derivatives by the unknowns.
 struct ViewModel
 {
-  Eigen::VectorXf image;        ///< mean 0, norm 1
-  Eigen::MatrixXf derivatives;  ///< pixels x unknowns
+  Eigen::VectorXf image;          ///< mean 0, norm 1
+  Eigen::MatrixXf derivatives;    ///< by the twists: pixels x unknowns
+  Eigen::VectorXf by_saturation;  ///< derivative by the view's saturation
 };
 
 /// One view's image at one resolution, and its model.
@@ -46,29 +62,33 @@ public:
   static constexpr int kMinEdge = 5;  ///< fewest bins along a region's edge that can be compared
 
   /// @param attenuation whole image
+  /// @param usable CV_8UC1 of the image's size, 0 for pixels that do not count; empty: all do
   /// @param region pixels to compare [px]
+  /// @param resolution on the panel
   /// @param ends of the CT: what lies behind them does not count
-  /// @throws std::invalid_argument naming the view: region outside the image or too small, constant image, a CT that
-  ///         ends before half of the region is seen
-  ViewLevel(const ProjectionGeometry& geometry, const cv::Mat& attenuation, const cv::Rect& region,
-            const Resolution& resolution, const std::vector<PlacedEnds>& ends = {});
+  /// @throws std::invalid_argument naming the view: region outside the image or too small, constant image, less than
+  ///         half of the region usable and inside the CT
+  ViewLevel(const ProjectionGeometry& geometry, const cv::Mat& attenuation, const cv::Mat& usable,
+            const cv::Rect& region, const Resolution& resolution, const std::vector<PlacedEnds>& ends = {});
 
   const ProjectionGeometry& geometry() const { return *geometry_; }
   /// Measured image, high-passed, mean 0, norm 1; row by row.
   const Eigen::VectorXf& measured() const { return measured_; }
   const cv::Size& size() const { return size_; }
-  /// 1 for pixels that count, 0 where the CT ends; row by row.
+  /// 1 for pixels that count, 0 for unusable ones and where the CT ends; row by row.
   const Eigen::VectorXf& valid() const { return valid_; }
 
   /// Model of the poses with its derivatives. A model without contrast has image 0.
-  void model(const Bodies& bodies, const PosePair& poses, Moving moving, ViewModel& model) const;
+  void model(const Bodies& bodies, const PosePair& poses, double saturation, Moving moving, ViewModel& model) const;
   /// The high-passed model image alone, not normalised, CV_32FC1.
-  void modelImage(const Bodies& bodies, const PosePair& poses, cv::Mat& image) const;
+  void modelImage(const Bodies& bodies, const PosePair& poses, double saturation, cv::Mat& image) const;
   /// Measured image, high-passed, not normalised, CV_32FC1.
   const cv::Mat& measuredImage() const { return measured_image_; }
 
 private:
-  void leaveOut(const std::vector<PlacedEnds>& ends);
+  /// @param usable of the grid, CV_32FC1, share of every bin; empty: all
+  void leaveOut(const cv::Mat& usable, const std::vector<PlacedEnds>& ends);
+  cv::Mat blurred(const cv::Mat& image) const;
   cv::Mat highPassed(const cv::Mat& image) const;
   /// Brings to mean 0 and norm 1 over the valid pixels; 0 if there is nothing but rounding. @return the norm
   float normalise(Eigen::VectorXf& image) const;
@@ -80,7 +100,8 @@ private:
   cv::Size size_;   ///< without the border [bins]
   cv::Mat measured_image_;
   Eigen::VectorXf measured_;
-  cv::Mat inside_ct_;  ///< of the grid, as valid_; empty if all count
+  cv::Mat counts_;         ///< of the grid, as valid_; empty if all count
+  cv::Mat inverse_share_;  ///< of what counts, about every bin without the border; empty if all count
   Eigen::VectorXf valid_;
 };
 }  // namespace xray_tracking

@@ -153,6 +153,15 @@ RefinementResult resultMessage(const RegistrationResult& result, const Eigen::Ve
     residual.pull = finiteOrZero(view.pull_mm) / kMillimetresPerMetre;
     message.views.push_back(residual);
   }
+  for (const Rival& rival : result.rivals)
+  {
+    xray_tracking_msgs::RivalPose rival_message;
+    rival_message.pose = poseMsgFromRigid(rival.room_from_patient);
+    rival_message.distance = rival.distance_mm / kMillimetresPerMetre;
+    rival_message.rotation = rival.rotation_rad;
+    rival_message.similarity = finiteOrZero(rival.similarity);
+    message.rivals.push_back(rival_message);
+  }
   message.time = ros::Duration(result.duration.count());
   return message;
 }

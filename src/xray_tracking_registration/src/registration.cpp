@@ -10,14 +10,13 @@
 #include "message.h"
 #include "reliability.h"
 #include "run_control.h"
+#include "wide_search.h"
 #include "xray_tracking_registration/attenuation_image.h"
 
 namespace xray_tracking
 {
 namespace
 {
-constexpr double kUsualMagnification = 1.45;  // of a treatment room's detectors; only how smooth DRRs are hangs on it
-constexpr Descent kTry{ 6, 1e-2 };
 /// Views as similar as this at the start are near enough for the fine level alone.
 constexpr double kNearlyThere = 0.5;
 /// Views as similar as this show no other vertebra.
@@ -32,10 +31,9 @@ constexpr double kFar = 10.0;  // [mm]
 constexpr double kFarRotation = 5.0 * M_PI / 180.0;
 constexpr double kElsewhere = 0.8;  // from what was found: another place [mm]
 
-// Where to start again if the first try fails: this far from the start along and about each axis of the room.
-constexpr double kRetryTranslation = 7.0;  // [mm]
-constexpr double kRetryRotation = 4.0 * M_PI / 180.0;
-constexpr std::size_t kRetries = 3;      // that are followed to the end
+// What is searched around a start whose descents fail.
+constexpr double kRetryTranslation = 20.0;  // [mm]
+constexpr double kRetryRotation = 12.0 * M_PI / 180.0;
 constexpr double kRetriedMargin = 0.03;  // above the least similarity
 
 void check(const RegistrationRequest& request)
@@ -52,6 +50,17 @@ void check(const RegistrationRequest& request)
       throw std::invalid_argument(message("view ", view.geometry.name(), ": the image has ", view.image.cols, " x ",
                                           view.image.rows, " pixels: expected ", size.x(), " x ", size.y()));
     }
+    if (request.search == Search::WIDE && !view.region.empty())
+    {
+      throw std::invalid_argument(message("view ", view.geometry.name(),
+                                          ": a region to compare, expected none with a wide search, as the target may "
+                                          "be anywhere"));
+    }
+    if (!view.usable.empty() && (view.usable.size() != view.image.size() || view.usable.type() != CV_8UC1))
+    {
+      throw std::invalid_argument("view " + view.geometry.name() +
+                                  ": usable: expected nothing, or 8 bits a pixel of the image");
+    }
   }
   if (!isRigid(request.room_from_patient) || !isRigid(request.target_from_rest))
   {
@@ -61,6 +70,13 @@ void check(const RegistrationRequest& request)
   {
     throw std::invalid_argument(message("bounds are ", request.max_translation_mm, " mm and ", request.max_rotation_rad,
                                         " rad: expected more than 0"));
+  }
+  if (request.search == Search::WIDE &&
+      !(request.max_translation_mm <= kMaxSearch && request.max_rotation_rad <= kMaxSearchRotation))
+  {
+    throw std::invalid_argument(message("bounds of a wide search are ", request.max_translation_mm, " mm and ",
+                                        request.max_rotation_rad, " rad: expected at most ", kMaxSearch, " mm and ",
+                                        kMaxSearchRotation, " rad"));
   }
   if (!(request.time_budget.count() > 0.0))
   {
@@ -80,7 +96,7 @@ public:
     {
       throw std::invalid_argument("target box: expected finite corners, min below max");
     }
-    bodies_ = std::make_unique<const Bodies>(bodies, box, kFine.bin_mm / kUsualMagnification, options.projector);
+    bodies_ = std::make_unique<const Bodies>(bodies, box, kFine.bin_mm, options.projector);
     const double voxel = std::cbrt(std::abs(bodies.target.grid.patient_from_index.linear().determinant()));
     descender_ = std::make_unique<const Descender>(*bodies_, box, voxel, options);
   }
@@ -142,53 +158,17 @@ private:
     const PosePair start{ request.room_from_patient, bodies_->one
                                                          ? request.room_from_patient
                                                          : request.room_from_patient * request.target_from_rest };
-    const Linearisation before = linearise(descender_->makeViews(run, start, kFine), *bodies_, start, Moving::TARGET);
-    result.similarity_before = before.meanSimilarity();
-    // What cannot be compared at the start is the request's fault, later on a descent's: refused as INVALID here alone.
-    descender_->makeViews(run, start, kCoarse);
-
-    const bool near = options_.optimiser == Optimiser::GAUSS_NEWTON &&
-                      *std::min_element(before.similarity.begin(), before.similarity.end()) >= kNearlyThere;
-    Outcome best = descender_->descend(run, start, near ? Path::FINE : Path::COARSE);
-    if (near && !best.doubt.empty() && run.control.stop() == RunControl::Stop::NONE)
+    Outcome best;
+    if (request.search == Search::WIDE)
     {
-      best = descender_->descend(run, start, Path::COARSE);
+      Found found = searchAround(run, *bodies_, *descender_, box_, start,
+                                 { request.max_translation_mm, request.max_rotation_rad });
+      best = std::move(found.answer);
+      result.rivals = std::move(found.rivals);
     }
-    if (descender_->moving() == Moving::BOTH && options_.optimiser == Optimiser::GAUSS_NEWTON && !best.doubt.empty() &&
-        run.control.stop() == RunControl::Stop::NONE)
+    else
     {
-      Outcome outcome = descender_->descend(run, start, Path::MEDIUM);
-      if (outcome.similarity > best.similarity)
-      {
-        best = std::move(outcome);
-      }
-    }
-    if (!best.doubt.empty() && options_.optimiser == Optimiser::GAUSS_NEWTON)
-    {
-      // The more places are tried, the more of them look right by chance.
-      RegistrationOptions demanding = options_;
-      demanding.min_similarity = std::min(1.0, options_.min_similarity + kRetriedMargin);
-      for (const PosePair& other : otherStarts(run, start))
-      {
-        Outcome outcome = descender_->descend(run, other, Path::COARSE);
-        if (outcome.doubt.empty())
-        {
-          outcome.doubt = doubt(outcome.views, outcome.covariance, demanding);
-        }
-        if (outcome.similarity > best.similarity)
-        {
-          best = std::move(outcome);
-        }
-        if (best.doubt.empty() || run.control.stop() != RunControl::Stop::NONE)
-        {
-          break;
-        }
-      }
-    }
-    if (best.doubt.empty() && options_.optimiser == Optimiser::GAUSS_NEWTON)
-    {
-      compareWithNeighbours(run, best);
-      doubtIfFar(run, best);
+      best = descendFrom(run, start, result);
     }
     result.room_from_patient = best.poses.target;
     if (!bodies_->one)
@@ -213,6 +193,60 @@ private:
         result.reason = best.doubt.empty() ? "converged" : best.doubt;
         break;
     }
+  }
+
+  /// Descends from a start that is about right.
+  Outcome descendFrom(const Run& run, const PosePair& start, RegistrationResult& result) const
+  {
+    const Linearisation before = linearise(descender_->makeViews(run, start, kFine), *bodies_, start, Moving::TARGET);
+    result.similarity_before = before.meanSimilarity();
+    // What cannot be compared at the start is the request's fault, later on a descent's: refused as INVALID here alone.
+    descender_->makeViews(run, start, kCoarse);
+
+    const bool near = options_.optimiser == Optimiser::GAUSS_NEWTON &&
+                      *std::min_element(before.similarity.begin(), before.similarity.end()) >= kNearlyThere;
+    Outcome best = descender_->descend(run, start, near ? Path::FINE : Path::COARSE);
+    if (options_.optimiser != Optimiser::GAUSS_NEWTON)
+    {
+      return best;
+    }
+    const auto failed = [&] { return !best.doubt.empty() && run.control.stop() == RunControl::Stop::NONE; };
+    if (near && failed())
+    {
+      best = descender_->descend(run, start, Path::COARSE);
+    }
+    if (descender_->moving() == Moving::BOTH && failed())
+    {
+      Outcome outcome = descender_->descend(run, start, Path::MEDIUM);
+      if (outcome.similarity > best.similarity)
+      {
+        best = std::move(outcome);
+      }
+    }
+    if (failed())
+    {
+      Found found = searchAround(run, *bodies_, *descender_, box_, start,
+                                 { std::min(run.request.max_translation_mm, kRetryTranslation),
+                                   std::min(run.request.max_rotation_rad, kRetryRotation) });
+      if (found.answer.doubt.empty())
+      {
+        // The more places are tried, the more of them look right by chance.
+        RegistrationOptions demanding = options_;
+        demanding.min_similarity = std::min(1.0, options_.min_similarity + kRetriedMargin);
+        found.answer.doubt = doubt(found.answer.views, found.answer.covariance, demanding);
+      }
+      if (found.answer.similarity > best.similarity)
+      {
+        best = std::move(found.answer);
+        result.rivals = std::move(found.rivals);
+      }
+    }
+    if (best.doubt.empty())
+    {
+      compareWithNeighbours(run, best);
+      doubtIfFar(run, best);
+    }
+    return best;
   }
 
   /// Puts what was found to the test where its views are not alike beyond doubt: whether the same place from the
@@ -278,42 +312,6 @@ private:
       best.doubt = message("similarity is ", alike, ", below the ", asked, " that is asked for ", distance, " mm and ",
                            angle, " rad from the start");
     }
-  }
-
-  /// Starts around the given one, the most promising first, each as far as a few coarse iterations bring it.
-  std::vector<PosePair> otherStarts(const Run& run, const PosePair& start) const
-  {
-    struct Candidate
-    {
-      PosePair poses;
-      double similarity;
-    };
-    std::vector<Candidate> candidates;
-    for (int n = 0; n < 12 && run.control.stop() == RunControl::Stop::NONE; ++n)
-    {
-      Twist offset = Twist::Zero();
-      offset[n / 2] = (n % 2 == 0 ? 1.0 : -1.0) * (n < 6 ? kRetryRotation : kRetryTranslation);
-      PosePair poses = moved(start, offset, bodies_->centre, descender_->together());
-      try
-      {
-        const Linearisation at = gaussNewton(descender_->makeViews(run, poses, kCoarse), *bodies_,
-                                             descender_->together(), RestPrior{}, kTry, run.control, poses);
-        candidates.push_back({ poses, at.meanSimilarity() });
-      }
-      catch (const std::invalid_argument&)
-      {
-        // Out of a view: no start.
-      }
-    }
-    std::sort(candidates.begin(), candidates.end(),
-              [](const Candidate& a, const Candidate& b) { return a.similarity > b.similarity; });
-    candidates.resize(std::min(candidates.size(), kRetries), candidates.empty() ? Candidate{} : candidates.front());
-    std::vector<PosePair> starts;
-    for (const Candidate& candidate : candidates)
-    {
-      starts.push_back(candidate.poses);
-    }
-    return starts;
   }
 
   RegistrationOptions options_;

@@ -165,21 +165,21 @@ std::shared_ptr<const Registration> RegistrationRos::makeRegistration(const std:
                                 ", expected the path of a CT (source: ct)");
   }
   const CtVolume ct = ct_path.empty() ? NeckPhantom().sampleCt(kPhantomCt) : readCtVolume(ct_path);
-  if (parameters_.bodies == 1)
+  std::optional<TargetMask> mask;
+  if (parameters_.bodies == 2)
   {
-    return std::make_shared<const Registration>(oneBody(ct), setup_.target_box, parameters_.options);
+    const TargetMaskOptions& options = parameters_.mask_options;
+    mask = parameters_.mask == "bone" ? targetMaskFromBone(ct, setup_.target_box, options)
+           : parameters_.mask == "box"
+               ? targetMaskFromBox(ct.grid, setup_.target_box, options)
+               : targetMaskFromLabels(ct.grid, readLabelMap(parameters_.label_map), parameters_.label, options);
+    if (!parameters_.mask_file.empty())
+    {
+      writeTargetMask(*mask, parameters_.mask_file);
+    }
   }
-  const TargetMaskOptions& options = parameters_.mask_options;
-  const TargetMask mask =
-      parameters_.mask == "bone" ? targetMaskFromBone(ct, setup_.target_box, options)
-      : parameters_.mask == "box"
-          ? targetMaskFromBox(ct.grid, setup_.target_box, options)
-          : targetMaskFromLabels(ct.grid, readLabelMap(parameters_.label_map), parameters_.label, options);
-  if (!parameters_.mask_file.empty())
-  {
-    writeTargetMask(mask, parameters_.mask_file);
-  }
-  return std::make_shared<const Registration>(splitBodies(ct, mask), setup_.target_box, parameters_.options);
+  return std::make_shared<const Registration>(bodiesOf(ct, mask, setup_.ct_content), setup_.target_box,
+                                              parameters_.options);
 }
 
 void RegistrationRos::work()

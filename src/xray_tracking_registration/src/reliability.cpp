@@ -21,34 +21,32 @@ constexpr double kCalibration = 2.5;
 // Of what is fine, whatever the coarse similarity: a few millimetres off the latter is still high.
 constexpr double kLeastSimilarity = 0.52;
 
-/// Normal equations of one tile of a view.
-NormalEquations tileEquations(const ViewLevel& view, const ViewModel& model, const Eigen::VectorXf& weights,
-                              const cv::Rect& tile)
+/// Gradient of one tile of a view.
+Eigen::VectorXd tileGradient(const ViewLevel& view, const Linearisation& at, std::size_t v, Eigen::Index unknowns,
+                             const cv::Rect& tile)
 {
-  const auto unknowns = model.derivatives.cols();
-  NormalEquations equations{ Eigen::MatrixXd::Zero(unknowns, unknowns), Eigen::VectorXd::Zero(unknowns) };
+  const ViewModel& model = at.models[v];
+  Eigen::VectorXd gradient = Eigen::VectorXd::Zero(unknowns);
   for (int row = tile.y; row < tile.y + tile.height; ++row)
   {
     const int first = row * view.size().width + tile.x;
-    const auto derivatives = model.derivatives.middleRows(first, tile.width);
-    const Eigen::MatrixXf weighted = weights.segment(first, tile.width).asDiagonal() * derivatives;
-    equations.information += (derivatives.transpose() * weighted).cast<double>();
-    equations.gradient +=
-        (weighted.transpose() * (view.measured().segment(first, tile.width) - model.image.segment(first, tile.width)))
-            .cast<double>();
+    const Eigen::VectorXf pull =
+        at.weights[v]
+            .segment(first, tile.width)
+            .cwiseProduct(view.measured().segment(first, tile.width) - model.image.segment(first, tile.width));
+    gradient.head(model.derivatives.cols()) +=
+        (model.derivatives.middleRows(first, tile.width).transpose() * pull).cast<double>();
+    gradient[model.derivatives.cols() + static_cast<Eigen::Index>(v)] +=
+        model.by_saturation.segment(first, tile.width).dot(pull);
   }
-  return equations;
+  return gradient;
 }
 }  // namespace
 
 Eigen::Matrix<double, 6, 6> poseCovariance(const std::vector<ViewLevel>& views, const Linearisation& at,
                                            const RestPrior& prior, const PosePair& poses, const Bodies& bodies)
 {
-  NormalEquations whole = normalEquations(views, at);
-  if (whole.gradient.size() == 12)
-  {
-    addPrior(prior, poses, bodies.centre, whole);
-  }
+  const NormalEquations whole = normalEquations(views, at, prior, poses, bodies.centre);
   const Eigen::LDLT<Eigen::MatrixXd> solver(whole.information);
   Eigen::Matrix<double, 6, 6> sum = Eigen::Matrix<double, 6, 6>::Zero();
   for (std::size_t v = 0; v < views.size(); ++v)
@@ -58,8 +56,8 @@ Eigen::Matrix<double, 6, 6> poseCovariance(const std::vector<ViewLevel>& views, 
     {
       const cv::Point first(tile % kTiles * size.width / kTiles, tile / kTiles * size.height / kTiles);
       const cv::Point end((tile % kTiles + 1) * size.width / kTiles, (tile / kTiles + 1) * size.height / kTiles);
-      const NormalEquations part = tileEquations(views[v], at.models[v], at.weights[v], cv::Rect(first, end));
-      const Eigen::VectorXd step = solver.solve(part.gradient);
+      const Eigen::VectorXd step =
+          solver.solve(tileGradient(views[v], at, v, whole.gradient.size(), cv::Rect(first, end)));
       sum += step.head<6>() * step.head<6>().transpose();
     }
   }

@@ -50,12 +50,13 @@ TEST_P(ImageLevelTest, DerivativesAgreeWithCentralDifferences)
                       { centre.array() - 10.0, centre.array() + 10.0 }, 1.0, Projector::SHEAR_WARP);
   cv::Mat image(512, 512, CV_32FC1);
   cv::randu(image, 0.0, 1.0);  // derivatives do not depend on it
-  const ViewLevel level(geometry, image, cv::Rect(170, 170, 170, 170), { 1.6, 16.0 });
+  const ViewLevel level(geometry, image, cv::Mat(), cv::Rect(170, 170, 170, 170), { 1.6, 16.0 });
+  constexpr double kSaturation = 0.7;
   std::mt19937 random(1);
   const RigidTransform pose = motionAbout(Eigen::Vector3d::Zero(), randomTwist(random, 20.0, 4.0));
   const PosePair poses{ pose, motionAbout(Eigen::Vector3d::Zero(), randomTwist(random, 1.0, 2.0)) * pose };
   ViewModel model;
-  level.model(bodies, poses, GetParam(), model);
+  level.model(bodies, poses, kSaturation, GetParam(), model);
   ASSERT_EQ(model.derivatives.cols(), GetParam() == Moving::BOTH ? 12 : 6);
   EXPECT_NEAR(model.image.norm(), 1.0f, 1e-5f);
   // A shift by 1 mm across the rays is what the image depends on most; along them it depends 40 times less.
@@ -68,13 +69,21 @@ TEST_P(ImageLevelTest, DerivativesAgreeWithCentralDifferences)
     for (int side = 0; side < 2; ++side)
     {
       step[unknown] = side == 0 ? -size : size;
-      level.model(bodies, moved(poses, step, bodies.centre, GetParam()), GetParam(), sides[side]);
+      level.model(bodies, moved(poses, step, bodies.centre, GetParam()), kSaturation, GetParam(), sides[side]);
     }
     const Eigen::VectorXf difference = (sides[1].image - sides[0].image) / static_cast<float>(2.0 * size);
     // 3 %: the slope of trilinear interpolation against that of what it interpolates.
     EXPECT_LT((difference - model.derivatives.col(unknown)).norm(), 0.03f * std::max(difference.norm(), 0.1f * largest))
         << "unknown " << unknown << " of norm " << difference.norm();
   }
+  std::array<ViewModel, 2> sides;
+  for (int side = 0; side < 2; ++side)
+  {
+    level.model(bodies, poses, kSaturation + (side == 0 ? -0.01 : 0.01), GetParam(), sides[side]);
+  }
+  const Eigen::VectorXf difference = (sides[1].image - sides[0].image) / 0.02f;
+  EXPECT_GT(difference.norm(), 0.01f);
+  EXPECT_LT((difference - model.by_saturation).norm(), 0.01f * difference.norm());
 }
 
 INSTANTIATE_TEST_SUITE_P(All, ImageLevelTest, testing::Values(Moving::TARGET, Moving::TOGETHER, Moving::BOTH));
@@ -87,10 +96,10 @@ TEST(ImageLevel, ModelOfTheTruePoseIsLikeTheImage)
   const RegistrationRequest request = phantom.expose(pose, pose, random);
   cv::Mat attenuation;
   attenuationImage(request.views[1].image, request.intensity, attenuation);
-  const ViewLevel level(request.views[1].geometry, attenuation, cv::Rect(170, 170, 170, 170), { 3.2, 16.0 });
+  const ViewLevel level(request.views[1].geometry, attenuation, cv::Mat(), cv::Rect(170, 170, 170, 170), { 3.2, 16.0 });
   ViewModel model;
   const Bodies bodies(phantom.bodies(), phantom.targetBox(), 1.0, Projector::SHEAR_WARP);
-  level.model(bodies, { pose, pose }, Moving::TARGET, model);
+  level.model(bodies, { pose, pose }, kUsualSaturation, Moving::TARGET, model);
   EXPECT_GT(model.image.dot(level.measured()), 0.93f);
 }
 
@@ -114,7 +123,7 @@ TEST(ImageLevel, LeavesOutWhereTheCtEnds)
   cv::Mat image(512, 512, CV_32FC1);
   cv::randu(image, 0.0, 1.0);
   const CtEnds ends(cube);
-  const ViewLevel level(geometry, image, cv::Rect(100, 180, 312, 150), { 1.6, 1.6 },
+  const ViewLevel level(geometry, image, cv::Mat(), cv::Rect(100, 180, 312, 150), { 1.6, 1.6 },
                         { { ends, phantom.roomFromPatient() } });
   int judged = 0;
   for (int row = 0; row < level.size().height; ++row)
@@ -145,6 +154,45 @@ TEST(ImageLevel, LeavesOutWhereTheCtEnds)
   EXPECT_FALSE(ends.cut({ Eigen::Vector3d(0.0, -2600.0, 0.0), Eigen::Vector3d::UnitY() }));
 }
 
+TEST(ImageLevel, UnusablePixelsDoNotCount)
+{
+  // A plane in grey, which a high-pass takes away but at borders, and a plate without any signal across a part of it.
+  const PhantomExposures& phantom = PhantomExposures::instance();
+  const ProjectionGeometry& geometry = phantom.views()[0];
+  cv::Mat image(512, 512, CV_32FC1);
+  cv::randu(image, 0.9, 1.1);
+  cv::Mat spoilt = image.clone();
+  const cv::Rect plate(200, 0, 40, 512);
+  spoilt(plate).setTo(7.0f);
+  spoilt.at<float>(256, 300) = -50.0f;
+  cv::Mat usable(512, 512, CV_8UC1, cv::Scalar(255));
+  usable(plate).setTo(0);
+  usable.at<std::uint8_t>(256, 300) = 0;
+  const cv::Rect region(150, 180, 200, 150);
+  const ViewLevel masked(geometry, spoilt, usable, region, { 1.6, 16.0 });
+  const ViewLevel same(geometry, image, usable, region, { 1.6, 16.0 });
+  EXPECT_EQ(masked.measured(), same.measured()) << "what is not usable has changed what is";
+  const auto width = masked.size().width;
+  for (int column = 0; column < width; ++column)
+  {
+    const int u = 148 + 4 * column;  // bins of 4 px from a multiple of 4 on
+    const float valid = masked.valid()[width + column];
+    EXPECT_EQ(valid, u + 3 < plate.x || u >= plate.x + plate.width ? 1.0f : 0.0f) << "bin at " << u;
+  }
+  usable(cv::Rect(150, 0, 110, 512)).setTo(0);
+  try
+  {
+    ViewLevel(geometry, spoilt, usable, region, { 1.6, 16.0 });
+    FAIL();
+  }
+  catch (const std::invalid_argument& error)
+  {
+    EXPECT_NE(std::string(error.what()).find("detector_a: much of the region to compare is not usable"),
+              std::string::npos)
+        << error.what();
+  }
+}
+
 TEST(ImageLevel, NamesViewOfARegionThatCannotBeCompared)
 {
   const PhantomExposures& phantom = PhantomExposures::instance();
@@ -153,7 +201,7 @@ TEST(ImageLevel, NamesViewOfARegionThatCannotBeCompared)
   {
     try
     {
-      ViewLevel(phantom.views()[0], constant, region, { 1.6, 1.6 });
+      ViewLevel(phantom.views()[0], constant, cv::Mat(), region, { 1.6, 1.6 });
       FAIL();
     }
     catch (const std::invalid_argument& error)

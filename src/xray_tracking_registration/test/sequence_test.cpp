@@ -34,7 +34,8 @@ TEST_P(SequenceTest, RefinesFromTracking)
   const Sequence sequence = loadSequence(std::string(folder) + "/sequences/" + GetParam().sequence);
   const TreatmentSetup& setup = sequence.setup;
   const CtVolume ct = readCtVolume(setup.ct_path);
-  const Registration registration(splitBodies(ct, targetMaskFromBone(ct, setup.target_box)), setup.target_box);
+  const Registration registration(bodiesOf(ct, targetMaskFromBone(ct, setup.target_box), setup.ct_content),
+                                  setup.target_box);
   std::mt19937 random(1);
   std::vector<double> errors;
   RigidTransform target_from_rest = RigidTransform::Identity();

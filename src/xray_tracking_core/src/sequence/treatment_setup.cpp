@@ -183,6 +183,17 @@ TreatmentSetup loadTreatmentSetup(const std::string& path)
   {
     setup.ct_path = resolvePath(ct->text(), path);
   }
+  if (const auto content = root.find("ct_content"))
+  {
+    try
+    {
+      setup.ct_content = ctContentNamed(content->text());
+    }
+    catch (const std::invalid_argument&)
+    {
+      content->fail("recognised, full or bone_in_air");
+    }
+  }
   if (const auto intensity = root.find("intensity"))
   {
     setup.intensity = readIntensity(*intensity);
@@ -217,6 +228,7 @@ void saveTreatmentSetup(const TreatmentSetup& setup, const std::string& path)
   {
     root["ct"] = setup.ct_path;
   }
+  root["ct_content"] = nameOf(setup.ct_content);
   root["intensity"]["kind"] = setup.intensity.kind == IntensityModel::Kind::COUNTS ? "counts" : "attenuation";
   root["intensity"]["offset"] = setup.intensity.offset;
   if (setup.intensity.air_counts)

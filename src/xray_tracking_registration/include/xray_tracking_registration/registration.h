@@ -62,6 +62,7 @@ struct RegistrationView
   ProjectionGeometry geometry;
   cv::Mat image;      ///< as attenuationImage() takes it, of the geometry's size
   cv::Rect region{};  ///< pixels to compare; empty: where the target box is seen from the start
+  cv::Mat usable{};   ///< CV_8UC1 of the image's size, 0 for pixels that do not count; empty: all do
 };
 
 /// How far a registration has come.
@@ -73,6 +74,17 @@ struct RegistrationProgress
   RigidTransform room_from_patient;
 };
 
+/// What is known of the pose beforehand.
+enum class Search
+{
+  NEAR,  ///< the start is about right: descends from it, and searches around it if that fails
+  WIDE   ///< it may be anywhere within the bounds: searches all of them, and says what else is alike
+};
+
+/// Bounds of a wide search: time grows with their third powers.
+constexpr double kMaxSearch = 100.0;        ///< [mm]
+constexpr double kMaxSearchRotation = 0.8;  ///< [rad]
+
 struct RegistrationRequest
 {
   std::vector<RegistrationView> views;  ///< one or more
@@ -81,10 +93,11 @@ struct RegistrationRequest
   /// Start of the rest, relative to the target, in the patient frame: room_from_rest = room_from_patient *
   /// target_from_rest. Best the last exposure's result.
   RigidTransform target_from_rest = RigidTransform::Identity();
+  Search search = Search::NEAR;
   /// Of the target's centre from the start, > 0 [mm]. The tighter the better: beyond 18 mm the next vertebra is in
-  /// question too.
+  /// question too. At most kMaxSearch of a wide search.
   double max_translation_mm = 30.0;
-  double max_rotation_rad = 0.26;    ///< from the start, > 0, at most pi [rad]
+  double max_rotation_rad = 0.26;  ///< from the start, > 0, at most pi, or kMaxSearchRotation of a wide search [rad]
   std::chrono::duration<double> time_budget{ 5.0 };
   /// Called before every rendering of a pose, from run()'s thread; returns whether to go on. May be empty.
   std::function<bool(const RegistrationProgress&)> progress;
@@ -108,6 +121,18 @@ struct ViewResidual
   /// By how much the view alone would move the target along what it sees best, two directions across its central ray
   /// [mm]: large where the views do not agree.
   double pull_mm = 0.0;
+  /// How the attenuation saturates by scatter, hardening and glare: k of (1 - exp(-k L)) / k for the line integral L; 0
+  /// to 3, 0 for an ideal beam, estimated along. Where the image does not tell it, near 0.2.
+  double saturation = 0.0;
+};
+
+/// Another place that was found, and is not the answer.
+struct Rival
+{
+  RigidTransform room_from_patient;
+  double distance_mm = 0.0;   ///< from the answer, root mean square over the target's box
+  double rotation_rad = 0.0;  ///< from the answer
+  double similarity = 0.0;    ///< as RegistrationResult::similarity_after
 };
 
 struct RegistrationResult
@@ -124,6 +149,8 @@ struct RegistrationResult
   int iterations = 0;
   int renderings = 0;  ///< poses that were rendered, all bodies and views
   std::vector<ViewResidual> views;
+  /// Other places, most similar first: where the bounds were searched, and never all that there are.
+  std::vector<Rival> rivals;
   std::chrono::duration<double> duration{ 0.0 };
 };
 

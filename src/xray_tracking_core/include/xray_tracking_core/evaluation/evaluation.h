@@ -36,8 +36,8 @@ PairedTTest pairedTTest(const std::vector<double>& a, const std::vector<double>&
 enum class FrameStatus
 {
   OK,
-  LOST,    ///< the method said that it has no pose
-  FAILED   ///< no answer for the frame
+  LOST,   ///< the method said that it has no pose
+  FAILED  ///< no answer for the frame
 };
 
 /// One frame of one method.
@@ -45,8 +45,8 @@ struct FrameResult
 {
   FrameStatus status = FrameStatus::FAILED;
   RigidTransform room_from_patient = RigidTransform::Identity();  ///< valid if status is OK
-  double cpu_s = 0.0;                ///< processor time spent on the frame
-  double wall_s = 0.0;               ///< time spent on the frame
+  double cpu_s = 0.0;                                             ///< processor time spent on the frame
+  double wall_s = 0.0;                                            ///< time spent on the frame
 };
 
 /// All frames of one method, one for each frame of the evaluation.
@@ -59,11 +59,11 @@ struct MethodResult
 /// What an evaluation judges. Without a gold standard there are poses and times but no errors, and no `uncorrected`.
 struct Evaluation
 {
-  std::string sequence;                      ///< its name
-  std::vector<std::int64_t> stamps_ns;       ///< one for each frame
-  std::vector<RigidTransform> gold_standard; ///< room_from_patient, one for each frame; empty if it is not known
+  std::string sequence;                       ///< its name
+  std::vector<std::int64_t> stamps_ns;        ///< one for each frame
+  std::vector<RigidTransform> gold_standard;  ///< room_from_patient, one for each frame; empty if it is not known
   Eigen::AlignedBox3d target_box;
-  std::vector<MethodResult> methods;         ///< without `uncorrected`, which follows from the gold standard, eq. (10)
+  std::vector<MethodResult> methods;  ///< without `uncorrected`, which follows from the gold standard, eq. (10)
 };
 
 /// Times of one method [s]: its first frame (training and loading included), then all further frames that it answered,
@@ -95,8 +95,8 @@ struct MethodSummary
 /// @throws std::invalid_argument if the numbers of frames disagree, stamps do not grow, or a method's name is taken
 std::vector<MethodSummary> summarize(const Evaluation& evaluation);
 
-/// Writes tre.csv, poses.csv and summary.json (formats.md) into a folder, which is made if need be. What is not known is
-/// an empty field or null, never NaN; translation_error_mm is the distance at the target box's centre.
+/// Writes tre.csv, poses.csv and summary.json (formats.md) into a folder, which is made if need be. What is not known
+/// is an empty field or null, never NaN; translation_error_mm is the distance at the target box's centre.
 /// @throws std::runtime_error if a file cannot be written; as summarize()
 void writeEvaluation(const Evaluation& evaluation, const std::string& directory);
 

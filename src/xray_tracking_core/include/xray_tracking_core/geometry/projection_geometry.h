@@ -20,13 +20,13 @@ struct Ray
 /// sequence file's `detectors` entry.
 struct DetectorDescription
 {
-  std::string name;                 ///< for messages and topic namespaces: [A-Za-z][A-Za-z0-9_]*
-  Eigen::Vector2i image_size;       ///< columns, rows [px]
-  Eigen::Vector2d pixel_pitch;      ///< along columns, along rows [mm]
-  Eigen::Vector3d source;           ///< focal spot, room [mm]
-  Eigen::Vector3d origin;           ///< centre of pixel (0, 0), room [mm]
-  Eigen::Vector3d x_direction;      ///< along growing columns, room, unit
-  Eigen::Vector3d y_direction;      ///< along growing rows, room, unit
+  std::string name;             ///< for messages and topic namespaces: [A-Za-z][A-Za-z0-9_]*
+  Eigen::Vector2i image_size;   ///< columns, rows [px]
+  Eigen::Vector2d pixel_pitch;  ///< along columns, along rows [mm]
+  Eigen::Vector3d source;       ///< focal spot, room [mm]
+  Eigen::Vector3d origin;       ///< centre of pixel (0, 0), room [mm]
+  Eigen::Vector3d x_direction;  ///< along growing columns, room, unit
+  Eigen::Vector3d y_direction;  ///< along growing rows, room, unit
 };
 
 /// The perspective projection of one X-ray source onto one flat panel, which may be off-centre and tilted.
@@ -37,8 +37,9 @@ class ProjectionGeometry
 {
 public:
   /// @throws std::invalid_argument naming the detector, the field, its value and what was expected: the name a letter
-  /// followed by letters, digits and underscores; image sizes 1 to 16384; pitches positive; directions of unit norm and at right angles to 1e-4 (then re-orthonormalised); the source off
-  /// the panel on its negative z side by at least 1 mm; everything finite.
+  /// followed by letters, digits and underscores; image sizes 1 to 16384; pitches positive; directions of unit norm and
+  /// at right angles to 1e-4 (then re-orthonormalised); the source off the panel on its negative z side by at least 1
+  /// mm; everything finite.
   static ProjectionGeometry fromDescription(const DetectorDescription& description);
 
   /// From a pinhole camera (sensor_msgs/CameraInfo's K) and its pose. K fixes the projection but not the panel's
@@ -68,7 +69,8 @@ public:
 
   /// Distance of a room point from the source along the panel's normal [mm]; positive in front of the source.
   double depth(const Eigen::Vector3d& room_point) const;
-  /// SDD / depth: how much larger the point's neighbourhood appears on the panel. Its inverse is the paper's c, eq. (3).
+  /// SDD / depth: how much larger the point's neighbourhood appears on the panel. Its inverse is the paper's c, eq.
+  /// (3).
   double magnification(const Eigen::Vector3d& room_point) const;
 
   /// Pixel (u, v) of a room point [mm]; NaN if the point is not in front of the source.
@@ -94,7 +96,7 @@ private:
 
 /// The room point [mm] nearest in least squares to where the given pixels are seen, one pixel a view; iterated on the
 /// reprojection error [px].
-/// @throws std::invalid_argument for fewer than two views, a number of pixels other than that of the views, a pixel that
-/// is not finite, parallel rays (to 0.01 degrees), or rays that meet behind a source or miss each other too widely
+/// @throws std::invalid_argument for fewer than two views, a number of pixels other than that of the views, a pixel
+/// that is not finite, parallel rays (to 0.01 degrees), or rays that meet behind a source or miss each other too widely
 Eigen::Vector3d triangulate(const std::vector<ProjectionGeometry>& views, const std::vector<Eigen::Vector2d>& pixels);
 }  // namespace xray_tracking

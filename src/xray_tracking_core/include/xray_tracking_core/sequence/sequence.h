@@ -32,16 +32,17 @@ struct Sequence
   std::vector<StampedPose> gold_standard;  ///< empty, or one for each exposure
 };
 
-/// Reads `DIR/sequence.yaml` and the tables it names; images are only looked for, not read. Stamps must be plain decimal
-/// numbers ("1699999999.25"; no sign, no exponent) from 0 to less than 2^32 s; digits after the ninth are rounded. The
-/// gold standard may have rows between the exposures, which are left out, and tables may have further columns.
+/// Reads `DIR/sequence.yaml` and the tables it names; images are only looked for, not read. Stamps must be plain
+/// decimal numbers ("1699999999.25"; no sign, no exponent) from 0 to less than 2^32 s; digits after the ninth are
+/// rounded. The gold standard may have rows between the exposures, which are left out, and tables may have further
+/// columns.
 /// @throws std::runtime_error naming the file, the line and what is wrong: stamps that do not grow, a detector without
 /// an image in an exposure or with two, an unknown detector, a missing image, a pose that is not finite or whose
 /// quaternion is not of unit norm, a gold standard without an exposure's stamp.
 Sequence loadSequence(const std::string& directory);
 
-/// Reads a table of poses, `stamp_s,tx_mm,ty_mm,tz_mm,qx,qy,qz,qw` of room_T_patient, as gold_standard.csv is one; stamps
-/// as in loadSequence().
+/// Reads a table of poses, `stamp_s,tx_mm,ty_mm,tz_mm,qx,qy,qz,qw` of room_T_patient, as gold_standard.csv is one;
+/// stamps as in loadSequence().
 /// @throws std::runtime_error naming the file, the line and what is wrong: stamps that do not grow, a pose that is not
 /// finite or whose quaternion is not of unit norm
 std::vector<StampedPose> loadPoses(const std::string& path);

@@ -10,6 +10,7 @@
 
 #include "xray_tracking_core/geometry/projection_geometry.h"
 #include "xray_tracking_core/geometry/rigid_transform.h"
+#include "xray_tracking_core/volume/ct_content.h"
 
 namespace xray_tracking
 {
@@ -23,19 +24,20 @@ struct IntensityModel
   };
 
   Kind kind = Kind::COUNTS;
-  double offset = 0.0;                ///< counts without any exposure
-  std::optional<double> air_counts;   ///< counts behind air alone, offset included; absent: estimated from the image
+  double offset = 0.0;               ///< counts without any exposure
+  std::optional<double> air_counts;  ///< counts behind air alone, offset included; absent: estimated from the image
 };
 
 /// What is known of a treatment before the first exposure: a sequence.yaml without its frames (formats.md).
 struct TreatmentSetup
 {
-  std::string ct_path;                             ///< absolute; empty if none is named
+  std::string ct_path;                           ///< absolute; empty if none is named
+  CtContent ct_content = CtContent::RECOGNISED;  ///< `ct_content`
   IntensityModel intensity;
-  std::vector<ProjectionGeometry> detectors;       ///< two or more, names unique
-  RigidTransform room_from_patient = RigidTransform::Identity();                ///< `initial_pose`
-  Eigen::AlignedBox3d target_box;                  ///< patient frame [mm]
-  std::map<std::string, cv::Rect> regions;         ///< ROI [px] in the first exposure by detector; may lack any
+  std::vector<ProjectionGeometry> detectors;                      ///< two or more, names unique
+  RigidTransform room_from_patient = RigidTransform::Identity();  ///< `initial_pose`
+  Eigen::AlignedBox3d target_box;                                 ///< patient frame [mm]
+  std::map<std::string, cv::Rect> regions;  ///< ROI [px] in the first exposure by detector; may lack any
 
   /// @throws std::invalid_argument naming the detector and those there are
   const ProjectionGeometry& detector(const std::string& name) const;
@@ -46,8 +48,9 @@ struct TreatmentSetup
 std::vector<ProjectionGeometry> loadDetectors(const std::string& path);
 
 /// Reads a setup file: `detectors` (a list, or the path of a YAML file that has one), `initial_pose`, `target_box_mm`,
-/// and optionally `ct`, `intensity`, `regions`; relative paths start at the file. Keys that it does not use are left
-/// alone. Regions must lie inside their detector's image, air_counts above offset, the box's min below its max.
+/// and optionally `ct`, `ct_content` (recognised, full or bone_in_air), `intensity`, `regions`; relative paths start at
+/// the file. Keys that it does not use are left alone. Regions must lie inside their detector's image, air_counts above
+/// offset, the box's min below its max.
 /// @throws std::runtime_error naming file, key, value and what was expected
 TreatmentSetup loadTreatmentSetup(const std::string& path);
 

@@ -14,10 +14,10 @@ namespace xray_tracking
 /// How a CT scanner samples the phantom.
 struct PhantomCtOptions
 {
-  Eigen::Vector3i size{ 200, 200, 160 };          ///< voxels
-  Eigen::Vector3d spacing{ 1.0, 1.0, 1.25 };      ///< in-plane and slice distance [mm]
-  double slice_thickness = 1.25;                  ///< box profile along z [mm]
-  double noise_hu = 20.0;                         ///< standard deviation of white noise [HU]
+  Eigen::Vector3i size{ 200, 200, 160 };      ///< voxels
+  Eigen::Vector3d spacing{ 1.0, 1.0, 1.25 };  ///< in-plane and slice distance [mm]
+  double slice_thickness = 1.25;              ///< box profile along z [mm]
+  double noise_hu = 20.0;                     ///< standard deviation of white noise [HU]
   std::uint32_t seed = 1;
 
   /// @throws std::invalid_argument naming the option
