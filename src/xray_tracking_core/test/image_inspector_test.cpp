@@ -8,6 +8,7 @@
 #include "shared_data.h"
 #include "test_helpers.h"
 #include "xray_scene.h"
+#include "xray_tracking_core/image/pixel_repair.h"
 
 namespace xray_tracking
 {
@@ -164,15 +165,20 @@ TEST_F(ImageInspectorTest, repairsStuckPixels)
     broken.at<std::uint16_t>(random.uniform(0, kSize), random.uniform(0, kSize)) = 65535;
   }
   broken.col(230) = cv::Scalar(0);
-  repairStuckPixels(broken, inspect(broken));
+  PixelRepair repair;
+  EXPECT_TRUE(repair.empty());
+  repair.add(inspect(broken), broken.size());
+  EXPECT_FALSE(repair.empty());
+  cv::Mat repaired;
+  repair.apply(broken, repaired);
   cv::Mat difference;
-  cv::absdiff(image, broken, difference);
+  cv::absdiff(image, repaired, difference);
   // As apart as two noisy pixels are, beside one another across a bone's edge at most.
   double largest = 0.0;
   cv::minMaxLoc(difference, nullptr, &largest);
   EXPECT_LT(largest, 0.2 * kAir);
   EXPECT_LT(cv::mean(difference.col(230))[0], 100.0);
-  EXPECT_LE(inspect(broken).stuck, 1e-4);
+  EXPECT_LE(inspect(repaired).stuck, 1e-4);
 }
 
 TEST_F(ImageInspectorTest, tellsSaturation)

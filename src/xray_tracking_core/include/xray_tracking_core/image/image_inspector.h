@@ -71,8 +71,4 @@ private:
   struct Implementation;
   std::unique_ptr<Implementation> implementation_;
 };
-
-/// Replaces the STUCK pixels of a report's part by the median of the neighbours without flaws of STUCK and BORDER.
-/// @param image that was inspected, changed in place
-void repairStuckPixels(cv::Mat& image, const ImageReport& report);
 }  // namespace xray_tracking
