@@ -4,6 +4,7 @@
 #include <array>
 #include <cmath>
 #include <cstddef>
+#include <numeric>
 
 #include <opencv2/imgproc.hpp>
 
@@ -128,17 +129,25 @@ void ImageBins::measureNoise(double offset)
 
 double ImageBins::correlation() const
 {
+  // Without what stuck pixels make of bins that they reach: many times the rest's light.
+  const auto clipped = [this](float light) { return static_cast<double>(std::min(light, brightest_)); };
+  double sum = 0.0;
+  for (int y = 0; y < light_.rows; ++y)
+  {
+    const float* row = light_.ptr<float>(y);
+    sum += std::accumulate(row, row + light_.cols, 0.0, [&](double s, float light) { return s + clipped(light); });
+  }
+  const double mean = sum / static_cast<double>(light_.total());
   double squares = 0.0, products = 0.0;
-  const double mean = cv::mean(light_)[0];
   for (int y = 0; y + 1 < light_.rows; ++y)
   {
     const float* row = light_.ptr<float>(y);
     const float* next = light_.ptr<float>(y + 1);
     for (int x = 0; x + 1 < light_.cols; ++x)
     {
-      const double v = row[x] - mean;
+      const double v = clipped(row[x]) - mean;
       squares += v * v;
-      products += 0.5 * v * (row[x + 1] + next[x] - 2.0 * mean);
+      products += 0.5 * v * (clipped(row[x + 1]) + clipped(next[x]) - 2.0 * mean);
     }
   }
   return squares > 0.0 ? products / squares : 0.0;
