@@ -226,8 +226,8 @@ void HyperplaneTrackerRos::tell(const TrackedRegion& result, const std::string& 
   if (result.state != logged_state_)
   {
     ROS_INFO_STREAM(pnh_.getNamespace() << " is " << stateName(result.state) << " (correlation " << result.correlation
-                                        << ", quality " << result.quality << ")"
-                                 << (result.fault.empty() ? "" : ": ") << result.fault);
+                                        << ", quality " << result.quality << ")" << (result.fault.empty() ? "" : ": ")
+                                        << result.fault);
     logged_state_ = result.state;
   }
   const std::lock_guard<std::mutex> lock(snapshot_mutex_);

@@ -32,7 +32,8 @@ cv::Mat exposeAt(const Eigen::Vector2d& displacement, std::uint32_t seed)
 /// What does something to every exposure of a detector.
 using Detector = std::function<void(cv::Mat& image)>;
 
-/// The largest error of a region that moves by up to 16 px behind a detector's flaw [px]. @param checked as the node does
+/// The largest error of a region that moves by up to 16 px behind a detector's flaw [px]. @param checked as the node
+/// does
 double largestError(const Detector& flaw, bool checked)
 {
   ExposureCheck check(kCounts);

@@ -248,7 +248,8 @@ void MotionEstimationRos::doubtStart(const ros::Time& from, const ros::Time& to)
 {
   std::ostringstream doubt;
   doubt << "the first exposures, from " << from << " to " << to
-        << ", did not show the patient, who may have left the initial pose by then: that is not confirmed by a refinement";
+        << ", did not show the patient, who may have left the initial pose by then: that is not confirmed by a "
+           "refinement";
   start_doubt_ = doubt.str();
   ROS_WARN_STREAM(start_doubt_);
   const double moved = parameters_.target_speed * (to - from).toSec();

@@ -35,8 +35,8 @@ public:
   /// Share of a rectangle of the last image's that is outside the field, 0..1.
   double outside(const cv::Rect& part) const { return field_.outside(part); }
 
-  /// The image without its stuck pixels as far as they are known: the image itself where there are none; valid until the
-  /// next call. No allocation after the first one.
+  /// The image without its stuck pixels as far as they are known: the image itself where there are none; valid until
+  /// the next call. No allocation after the first one.
   const cv::Mat& repaired(const cv::Mat& image);
 
   /// Forgets all exposures and the stuck pixels.

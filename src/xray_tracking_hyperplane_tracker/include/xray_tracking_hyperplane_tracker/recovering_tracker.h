@@ -36,7 +36,8 @@ public:
   /// Where the region was last found [px], its size kept.
   cv::Rect lastPlace() const
   {
-    return region() + cv::Point(static_cast<int>(std::lround(last_good_.x())), static_cast<int>(std::lround(last_good_.y())));
+    return region() +
+           cv::Point(static_cast<int>(std::lround(last_good_.x())), static_cast<int>(std::lround(last_good_.y())));
   }
 
   /// As RegionTracker::track; where it fails at most seven more of its searches in the same image.
