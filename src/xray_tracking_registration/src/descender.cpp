@@ -3,7 +3,9 @@
 #include <algorithm>
 #include <stdexcept>
 
+#include "belief.h"
 #include "derivative_free.h"
+#include "distinctness.h"
 #include "message.h"
 #include "reliability.h"
 #include "xray_tracking_core/evaluation/evaluation.h"
@@ -23,9 +25,21 @@ constexpr Descent kPart{ 8, 1e-3 };  // to see whether one body would rather be 
 /// mm.
 const Twist kRestInformation =
     (Twist() << Eigen::Vector3d::Constant(205.0), Eigen::Vector3d::Constant(0.04)).finished();
+/// A rival with more than this share of an outcome's similarity is as good. The right place's rivals have 0.2 to 0.6 of
+/// it (phantom, thorax), 0.69 (wrist), 0.85 where the next vertebra is most like it.
+constexpr double kAsGood = 0.85;
 /// What two bodies may differ by from one body that is believed [mm].
 constexpr double kMaxParted = 0.8;
 }  // namespace
+
+void doubtIfRivalled(const Rival& rival, Outcome& outcome)
+{
+  if (outcome.doubt.empty() && rival.similarity > kAsGood * outcome.similarity)
+  {
+    outcome.doubt = message("a place ", rival.distance_mm, " mm and ", rival.rotation_rad,
+                            " rad away is as similar: ", rival.similarity, ", here ", outcome.similarity);
+  }
+}
 
 Descender::Descender(const Bodies& bodies, const Eigen::AlignedBox3d& target_box, double voxel_edge,
                      const RegistrationOptions& options)
@@ -136,15 +150,31 @@ void Descender::judge(const Run& run, const RestPrior& prior, const std::vector<
   const PosePair& poses = outcome.poses;
   outcome.similarity = at.meanSimilarity();
   outcome.views = viewResiduals(fine, at, poses.target * bodies_.centre);
-  const Linearisation wide = linearise(makeViews(run, poses, kCoarse), bodies_, poses, Moving::TARGET);
+  outcome.covariance = poseCovariance(fine, at, prior, poses, bodies_);
+  const std::vector<double> coarse = similarities(makeViews(run, poses, kCoarse), bodies_, poses);
+  BeliefFigures& figures = outcome.figures;
+  figures.least_similarity = figures.least_coarse_similarity = 1.0;
   for (std::size_t v = 0; v < outcome.views.size(); ++v)
   {
-    outcome.views[v].coarse_similarity = wide.similarity[v];
-    outcome.views[v].saturation = poses.saturationOf(v);
+    ViewResidual& view = outcome.views[v];
+    view.coarse_similarity = coarse[v];
+    view.saturation = poses.saturationOf(v);
+    figures.least_similarity = std::min(figures.least_similarity, view.similarity);
+    figures.least_coarse_similarity = std::min(figures.least_coarse_similarity, view.coarse_similarity);
+    figures.pull_mm = std::max(figures.pull_mm, view.pull_mm);
   }
-  outcome.covariance = poseCovariance(fine, at, prior, poses, bodies_);
-  outcome.doubt = doubt(outcome.views, outcome.covariance, options_);
-  if (outcome.doubt.empty() && bodies_.one)
+  figures.expected_error_mm = expectedError(outcome.covariance, poses.target, box_);
+  const Distinctness distinctness = distinctnessOf(run, bodies_, fine, poses);
+  figures.here = distinctness.here;
+  figures.rival = distinctness.rival;
+  figures.distinctness = distinctness.z;
+  outcome.probability = probabilityOf(figures);
+  if (outcome.probability < options_.min_probability)
+  {
+    outcome.doubt = message("probability is ", outcome.probability, ", below ", options_.min_probability,
+                            "; what speaks against it most is the ", mostDoubtful(figures));
+  }
+  else if (bodies_.one)
   {
     PosePair apart = poses;
     gaussNewton(fine, bodies_, Moving::BOTH, prior, kPart, run.control, apart);

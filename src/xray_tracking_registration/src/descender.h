@@ -31,8 +31,13 @@ struct Outcome
   std::vector<ViewResidual> views;
   double similarity = -1.0;
   Eigen::Matrix<double, 6, 6> covariance = Eigen::Matrix<double, 6, 6>::Zero();
-  std::string doubt;  ///< why it is not to be believed; empty if it is
+  BeliefFigures figures;
+  double probability = 0.0;  ///< as RegistrationResult's
+  std::string doubt;         ///< why it is not to be believed; empty if it is
 };
+
+/// Doubts an outcome that a rival is as good as.
+void doubtIfRivalled(const Rival& rival, Outcome& outcome);
 
 /// One run of a registration.
 struct Run

@@ -111,6 +111,14 @@ Linearisation linearise(const std::vector<ViewLevel>& views, const Bodies& bodie
   return at;
 }
 
+std::vector<double> similarities(const std::vector<ViewLevel>& views, const Bodies& bodies, const PosePair& poses)
+{
+  std::vector<double> values(views.size());
+  tbb::parallel_for(std::size_t{ 0 }, views.size(),
+                    [&](std::size_t v) { values[v] = views[v].similarity(bodies, poses, poses.saturationOf(v)); });
+  return values;
+}
+
 NormalEquations viewEquations(const ViewLevel& view, const Linearisation& at, std::size_t v, std::size_t views,
                               Eigen::Index first, Eigen::Index count)
 {

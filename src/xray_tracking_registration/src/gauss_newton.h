@@ -36,6 +36,9 @@ struct RestPrior
 Linearisation linearise(const std::vector<ViewLevel>& views, const Bodies& bodies, const PosePair& poses,
                         Moving moving);
 
+/// Correlation coefficient of every view at a pose.
+std::vector<double> similarities(const std::vector<ViewLevel>& views, const Bodies& bodies, const PosePair& poses);
+
 /// Normal equations of a linearisation; unknowns are the twists [rad, mm], then the saturation of every view.
 struct NormalEquations
 {

@@ -56,13 +56,13 @@ void saturate(double saturation, cv::Mat& image, cv::Mat& slope, cv::Mat& by_sat
   values = saturated;
 }
 
-constexpr double kLeastShare = 0.5;    // of a region that has to count
 constexpr double kUsableShare = 0.75;  // of a bin's pixels
 }  // namespace
 
 ViewLevel::ViewLevel(const ProjectionGeometry& geometry, const cv::Mat& attenuation, const cv::Mat& usable,
-                     const cv::Rect& region, const Resolution& resolution, const std::vector<PlacedEnds>& ends)
-  : geometry_(&geometry)
+                     const cv::Rect& region, const Resolution& resolution, const std::vector<PlacedEnds>& ends,
+                     double least_share)
+  : geometry_(&geometry), resolution_(resolution)
 {
   const int bin = std::max(1, static_cast<int>(std::lround(resolution.bin_mm / geometry.pixelPitch().mean())));
   sigma_ = resolution.highpass_mm / (bin * geometry.pixelPitch().mean());
@@ -75,6 +75,7 @@ ViewLevel::ViewLevel(const ProjectionGeometry& geometry, const cv::Mat& attenuat
                       static_cast<int>(std::ceil(double(region.y + region.height) / bin)) + border_);
   const cv::Rect bordered = cv::Rect(first, end) & bins;
   size_ = bordered.size() - cv::Size(2 * border_, 2 * border_);
+  first_ = bordered.tl() + cv::Point(border_, border_);
   if (size_.width < kMinEdge || size_.height < kMinEdge)
   {
     throw std::invalid_argument("view " + geometry.name() + ": the region to compare has " +
@@ -101,7 +102,7 @@ ViewLevel::ViewLevel(const ProjectionGeometry& geometry, const cv::Mat& attenuat
     cv::resize(weight, shares, bordered.size(), 0.0, 0.0, cv::INTER_AREA);
     binned /= cv::max(shares, 1e-3);
   }
-  leaveOut(shares, ends);
+  leaveOut(shares, ends, least_share);
   measured_image_ = highPassed(binned).clone();
   measured_ = flattened(measured_image_);
   if (normalise(measured_) == 0.0f)
@@ -110,7 +111,7 @@ ViewLevel::ViewLevel(const ProjectionGeometry& geometry, const cv::Mat& attenuat
   }
 }
 
-void ViewLevel::leaveOut(const cv::Mat& usable, const std::vector<PlacedEnds>& ends)
+void ViewLevel::leaveOut(const cv::Mat& usable, const std::vector<PlacedEnds>& ends, double least_share)
 {
   cv::Mat inside(grid_.size.y(), grid_.size.x(), CV_32FC1, 1.0f);
   for (const PlacedEnds& placed : ends)
@@ -137,13 +138,13 @@ void ViewLevel::leaveOut(const cv::Mat& usable, const std::vector<PlacedEnds>& e
     inside.setTo(0.0f, usable < kUsableShare);
   }
   const double left = cv::mean(inside(without_border))[0];
-  if (left < kLeastShare)
+  if (left < least_share)
   {
-    const std::string why = in_ct < kLeastShare ? "the CT ends inside the region to compare, "
+    const std::string why = in_ct < least_share ? "the CT ends inside the region to compare, "
                                                 : "much of the region to compare is not usable (borders, defects), ";
     throw std::invalid_argument("view " + geometry_->name() + ": " + why +
-                                std::to_string(static_cast<int>(100.0 * left)) +
-                                " % of it are left: expected 50 % or more");
+                                std::to_string(static_cast<int>(100.0 * left)) + " % of it are left: expected " +
+                                std::to_string(static_cast<int>(100.0 * least_share)) + " % or more");
   }
   valid_ = flattened(inside(without_border));
   if (cv::countNonZero(inside) < static_cast<int>(inside.total()))
@@ -201,6 +202,15 @@ void ViewLevel::modelImage(const Bodies& bodies, const PosePair& poses, double s
   cv::Mat by_saturation;
   saturate(saturation, image, slope, by_saturation);
   image = highPassed(image);
+}
+
+double ViewLevel::similarity(const Bodies& bodies, const PosePair& poses, double saturation) const
+{
+  cv::Mat image;
+  modelImage(bodies, poses, saturation, image);
+  Eigen::VectorXf model = flattened(image);
+  normalise(model);
+  return measured_.dot(model);
 }
 
 void ViewLevel::model(const Bodies& bodies, const PosePair& poses, double saturation, Moving moving,

@@ -66,15 +66,21 @@ public:
   /// @param region pixels to compare [px]
   /// @param resolution on the panel
   /// @param ends of the CT: what lies behind them does not count
-  /// @throws std::invalid_argument naming the view: region outside the image or too small, constant image, less than
-  ///         half of the region usable and inside the CT
+  /// @param least_share of the region that has to be usable and inside the CT, 0 to 1
+  /// @throws std::invalid_argument naming the view: region outside the image or too small, constant image, too small a
+  ///         share of the region usable and inside the CT
   ViewLevel(const ProjectionGeometry& geometry, const cv::Mat& attenuation, const cv::Mat& usable,
-            const cv::Rect& region, const Resolution& resolution, const std::vector<PlacedEnds>& ends = {});
+            const cv::Rect& region, const Resolution& resolution, const std::vector<PlacedEnds>& ends = {},
+            double least_share = 0.5);
 
   const ProjectionGeometry& geometry() const { return *geometry_; }
   /// Measured image, high-passed, mean 0, norm 1; row by row.
   const Eigen::VectorXf& measured() const { return measured_; }
   const cv::Size& size() const { return size_; }
+  /// Which bin of the image the first one is: columns, rows. Bins of one size lie alike in all levels of an image.
+  cv::Point firstBin() const { return first_; }
+  double bin() const { return grid_.step.x(); }  ///< edge of the bins [px]
+  const Resolution& resolution() const { return resolution_; }
   /// 1 for pixels that count, 0 for unusable ones and where the CT ends; row by row.
   const Eigen::VectorXf& valid() const { return valid_; }
 
@@ -82,22 +88,26 @@ public:
   void model(const Bodies& bodies, const PosePair& poses, double saturation, Moving moving, ViewModel& model) const;
   /// The high-passed model image alone, not normalised, CV_32FC1.
   void modelImage(const Bodies& bodies, const PosePair& poses, double saturation, cv::Mat& image) const;
+  /// Correlation coefficient with the poses' model, -1 to 1.
+  double similarity(const Bodies& bodies, const PosePair& poses, double saturation) const;
   /// Measured image, high-passed, not normalised, CV_32FC1.
   const cv::Mat& measuredImage() const { return measured_image_; }
 
 private:
   /// @param usable of the grid, CV_32FC1, share of every bin; empty: all
-  void leaveOut(const cv::Mat& usable, const std::vector<PlacedEnds>& ends);
+  void leaveOut(const cv::Mat& usable, const std::vector<PlacedEnds>& ends, double least_share);
   cv::Mat blurred(const cv::Mat& image) const;
   cv::Mat highPassed(const cv::Mat& image) const;
   /// Brings to mean 0 and norm 1 over the valid pixels; 0 if there is nothing but rounding. @return the norm
   float normalise(Eigen::VectorXf& image) const;
 
   const ProjectionGeometry* geometry_;
-  PixelGrid grid_;  ///< with a border that the high-pass needs
-  double sigma_;    ///< of the high-pass [bins]
-  int border_;      ///< [bins]
-  cv::Size size_;   ///< without the border [bins]
+  Resolution resolution_;
+  PixelGrid grid_;   ///< with a border that the high-pass needs
+  double sigma_;     ///< of the high-pass [bins]
+  int border_;       ///< [bins]
+  cv::Size size_;    ///< without the border [bins]
+  cv::Point first_;  ///< likewise
   cv::Mat measured_image_;
   Eigen::VectorXf measured_;
   cv::Mat counts_;         ///< of the grid, as valid_; empty if all count

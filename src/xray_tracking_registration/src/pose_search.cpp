@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <stdexcept>
 
 #include <tbb/parallel_for.h>
 #include <opencv2/imgproc.hpp>
@@ -19,10 +20,12 @@ constexpr double kStepShare = 0.1;  // of the target's size
 constexpr double kMinStep = 1.5;    // [mm]
 constexpr double kMaxStep = 4.0;
 constexpr double kRotationSteps = 1.7;
+constexpr double kMinRotationStep = 6.0 * M_PI / 180.0;
 constexpr double kMaxRotationStep = 14.0 * M_PI / 180.0;
 constexpr double kAround = 4.0;       // standard deviation of what a gradient is compared with [bins]
 constexpr double kLeastEnergy = 0.1;  // of the mean: where there is nothing, noise is not to be made an edge of
 constexpr float kLeastSeen = 0.5f;    // of the target in every view
+constexpr double kMostBins = 1e6;     // of a view: a hundred times as many as usual
 constexpr std::size_t kPeaksEach = 16;
 constexpr std::size_t kBatch = 8;  // orientations between two questions whether to go on
 
@@ -132,7 +135,8 @@ PoseSearch::PoseSearch(const Run& run, const Bodies& bodies, const Eigen::Aligne
       }
     }
   }
-  const double rotation_step = std::min(kRotationSteps * step_ / sizeOf(target_box), kMaxRotationStep);
+  const double rotation_step =
+      std::clamp(kRotationSteps * step_ / sizeOf(target_box), kMinRotationStep, kMaxRotationStep);
   rotations_ = latticePoints(bounds.rotation_rad, rotation_step);
   views_.resize(run.attenuation.size());
   tbb::parallel_for(std::size_t{ 0 }, views_.size(),
@@ -180,6 +184,11 @@ PoseSearch::View PoseSearch::makeView(const RegistrationView& from, const cv::Ma
   // The image, and nothing that counts around it.
   const cv::Rect area(view.around.x - before.x(), view.around.y - before.y(),
                       view.around.width + before.x() + behind.x(), view.around.height + before.y() + behind.y());
+  if (static_cast<double>(area.width) * area.height > kMostBins)
+  {
+    throw std::invalid_argument("view " + geometry.name() +
+                                ": the neighbourhood to search comes too near to the source");
+  }
   const cv::Rect there = area & cv::Rect(0, 0, attenuation.cols / view.bin, attenuation.rows / view.bin);
   cv::Mat image(area.size(), CV_32FC1, 0.0f);
   cv::Mat usable(area.size(), CV_32FC1, 0.0f);
@@ -409,10 +418,7 @@ double PoseSearch::similarity(const PosePair& poses) const
     const Eigen::Vector2d bins = (pixel.array() + 0.5) / view.bin - 0.5;
     const cv::Point shift(static_cast<int>(std::lround(bins.x() - view.centre.x)),
                           static_cast<int>(std::lround(bins.y() - view.centre.y)));
-    const cv::Rect region =
-        (view.around + shift).tl() + view.inside.tl() - view.searched == cv::Point()
-            ? cv::Rect(cv::Point(), view.inside.size())
-            : cv::Rect((view.around + shift).tl() + view.inside.tl() - view.searched, view.inside.size());
+    const cv::Rect region((view.around + shift).tl() + view.inside.tl() - view.searched, view.inside.size());
     if ((region & cv::Rect(cv::Point(), view.gradients.size())) != region)
     {
       continue;  // as far out as the bounds allow: nothing was prepared there

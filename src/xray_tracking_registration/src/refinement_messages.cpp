@@ -87,6 +87,14 @@ std::vector<RegistrationView> viewsOf(const StoredExposure& exposure, const Trea
   return views;
 }
 
+Search searchOf(const RefinementRequest& message)
+{
+  const bool wide = message.search == "wide";
+  requireOption(wide || message.search.empty() || message.search == "near", "search", message.search,
+                "near, wide or nothing, which is near");
+  return wide ? Search::WIDE : Search::NEAR;
+}
+
 void applyRequest(const RefinementRequest& message, RegistrationRequest& request)
 {
   try
@@ -141,6 +149,7 @@ RefinementResult resultMessage(const RegistrationResult& result, const Eigen::Ve
                 "the library's states begin the message's");
   RefinementResult message = resultMessage(static_cast<std::uint8_t>(result.status), result.reason);
   message.pose = poseWithCovarianceMsg(result.room_from_patient, poseCovariance(result, target_centre));
+  message.probability = finiteOrZero(result.probability);
   message.similarity_before = finiteOrZero(result.similarity_before);
   message.similarity_after = finiteOrZero(result.similarity_after);
   message.iterations = static_cast<std::uint32_t>(result.iterations);

@@ -8,7 +8,6 @@
 
 #include "descender.h"
 #include "message.h"
-#include "reliability.h"
 #include "run_control.h"
 #include "wide_search.h"
 #include "xray_tracking_registration/attenuation_image.h"
@@ -19,22 +18,18 @@ namespace
 {
 /// Views as similar as this at the start are near enough for the fine level alone.
 constexpr double kNearlyThere = 0.5;
-/// Views as similar as this show no other vertebra.
+/// Views as similar as this, fine and coarse, show no other vertebra.
 constexpr double kSure = 0.72;
-constexpr double kNeighbour = 18.0;   // where another vertebra is looked for, along the patient's long axis [mm]
-constexpr double kAlikeMargin = 0.1;  // by which others must be less alike
+constexpr double kNeighbour = 18.0;  // where another vertebra is looked for, along the patient's long axis [mm]
 constexpr double kTurned = 3.0 * M_PI / 180.0;  // from the start: worth a try from its orientation
 constexpr double kMuchFarther = 15.0;  // from the start than what was found: the start itself speaks against it [mm]
 constexpr double kDescends = 5.0;      // nearer to the start: what begins farther off than this is not tried [mm]
-/// So far from the start only what is sure is believed; from half of that on more is asked.
-constexpr double kFar = 10.0;  // [mm]
-constexpr double kFarRotation = 5.0 * M_PI / 180.0;
-constexpr double kElsewhere = 0.8;  // from what was found: another place [mm]
+constexpr double kElsewhere = 0.8;     // from what was found: another place [mm]
+constexpr double kMoreAlike = 1.05;    // times the similarity: clearly more alike
 
 // What is searched around a start whose descents fail.
 constexpr double kRetryTranslation = 20.0;  // [mm]
 constexpr double kRetryRotation = 12.0 * M_PI / 180.0;
-constexpr double kRetriedMargin = 0.03;  // above the least similarity
 
 void check(const RegistrationRequest& request)
 {
@@ -176,6 +171,8 @@ private:
       result.target_from_rest = best.poses.target.inverse() * best.poses.rest;
     }
     result.covariance = best.covariance;
+    result.figures = best.figures;
+    result.probability = best.doubt.empty() ? best.probability : std::min(best.probability, options_.min_probability);
     result.similarity_after = best.similarity;
     result.views = best.views;
     switch (run.control.stop())
@@ -228,13 +225,6 @@ private:
       Found found = searchAround(run, *bodies_, *descender_, box_, start,
                                  { std::min(run.request.max_translation_mm, kRetryTranslation),
                                    std::min(run.request.max_rotation_rad, kRetryRotation) });
-      if (found.answer.doubt.empty())
-      {
-        // The more places are tried, the more of them look right by chance.
-        RegistrationOptions demanding = options_;
-        demanding.min_similarity = std::min(1.0, options_.min_similarity + kRetriedMargin);
-        found.answer.doubt = doubt(found.answer.views, found.answer.covariance, demanding);
-      }
       if (found.answer.similarity > best.similarity)
       {
         best = std::move(found.answer);
@@ -243,8 +233,7 @@ private:
     }
     if (best.doubt.empty())
     {
-      compareWithNeighbours(run, best);
-      doubtIfFar(run, best);
+      compareWithNeighbours(run, best, result.rivals);
     }
     return best;
   }
@@ -252,14 +241,19 @@ private:
   /// Puts what was found to the test where its views are not alike beyond doubt: whether the same place from the
   /// start's orientation, or the next vertebra to either side, is as much alike, and not so much farther from the start
   /// that the start itself speaks against it. It is taken instead if it is clearly more alike and nearer to the start.
-  void compareWithNeighbours(const Run& run, Outcome& best) const
+  void compareWithNeighbours(const Run& run, Outcome& best, std::vector<Rival>& rivals) const
   {
     const RigidTransform& start = run.request.room_from_patient;
     const RigidTransform found = best.poses.target;
+    if (run.request.start_verified && run.control.distance(found) < 0.5 * kNeighbour)
+    {
+      return;
+    }
     for (const double side : { 0.0, -kNeighbour, kNeighbour })
     {
-      const double alike = leastSimilarity(best.views);
-      if (alike >= kSure || !best.doubt.empty() || run.control.stop() != RunControl::Stop::NONE)
+      const BeliefFigures& figures = best.figures;
+      if (std::min(figures.least_similarity, figures.least_coarse_similarity) >= kSure || !best.doubt.empty() ||
+          run.control.stop() != RunControl::Stop::NONE)
       {
         return;
       }
@@ -283,34 +277,17 @@ private:
           run, there, side == 0.0 && descender_->moving() == Moving::BOTH ? Path::MEDIUM : Path::COARSE);
       const double apart = targetRegistrationError(other.poses.target, best.poses.target, box_);
       const double distance = run.control.distance(other.poses.target);
-      if (other.views.empty() || apart < kElsewhere || distance > farthest ||
-          leastSimilarity(other.views) < alike - kAlikeMargin)
+      if (other.views.empty() || apart < kElsewhere || distance > farthest)
       {
         continue;
       }
-      if (distance < run.control.distance(best.poses.target) && leastSimilarity(other.views) > alike + kRetriedMargin)
+      if (distance < run.control.distance(best.poses.target) && other.similarity > kMoreAlike * best.similarity)
       {
-        best = std::move(other);
+        std::swap(best, other);
       }
-      else
-      {
-        best.doubt = message("a place ", apart, " mm away is as much alike");
-      }
-    }
-  }
-
-  /// The farther from the start, the more places there are that look right by chance, so the more is asked.
-  void doubtIfFar(const Run& run, Outcome& best) const
-  {
-    const double distance = run.control.distance(best.poses.target);
-    const double angle = rotationAngle(run.request.room_from_patient.inverse() * best.poses.target);
-    const double far = std::clamp(2.0 * std::max(distance / kFar, angle / kFarRotation) - 1.0, 0.0, 1.0);
-    const double asked = options_.min_similarity + far * std::max(0.0, kSure - options_.min_similarity);
-    const double alike = leastSimilarity(best.views);
-    if (best.doubt.empty() && alike < asked)
-    {
-      best.doubt = message("similarity is ", alike, ", below the ", asked, " that is asked for ", distance, " mm and ",
-                           angle, " rad from the start");
+      const double angle = rotationAngle(best.poses.target.inverse() * other.poses.target);
+      rivals.push_back({ other.poses.target, apart, angle, other.similarity });
+      doubtIfRivalled(rivals.back(), best);
     }
   }
 

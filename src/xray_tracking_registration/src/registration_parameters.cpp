@@ -105,9 +105,7 @@ RegistrationParameters readRegistrationParameters(const ros::NodeHandle& pnh)
   read(reader, "mask/file", parameters.mask_file);
   readNamed(reader, "optimiser", kOptimisers, parameters.options.optimiser);
   read(reader, "similarity", parameters.options.similarity);
-  read(reader, "min_similarity", parameters.options.min_similarity);
-  read(reader, "min_coarse_similarity", parameters.options.min_coarse_similarity);
-  readMetres(reader, "max_deviation", parameters.options.max_deviation_mm);
+  read(reader, "min_probability", parameters.options.min_probability);
   parameters.options.validate();
   readMetres(reader, "max_translation", parameters.max_translation_mm);
   requireOption(parameters.max_translation_mm > 0.0, "max_translation",
@@ -115,6 +113,13 @@ RegistrationParameters readRegistrationParameters(const ros::NodeHandle& pnh)
   read(reader, "max_rotation", parameters.max_rotation_rad);
   requireOption(parameters.max_rotation_rad > 0.0 && parameters.max_rotation_rad <= M_PI, "max_rotation",
                 parameters.max_rotation_rad, "more than 0, at most pi rad");
+  readMetres(reader, "search/max_translation", parameters.search_max_translation_mm);
+  requireOption(parameters.search_max_translation_mm > 0.0 && parameters.search_max_translation_mm <= kMaxSearch,
+                "search/max_translation", parameters.search_max_translation_mm / kMillimetresPerMetre,
+                "more than 0, at most 0.1 m");
+  read(reader, "search/max_rotation", parameters.search_max_rotation_rad);
+  requireOption(parameters.search_max_rotation_rad > 0.0 && parameters.search_max_rotation_rad <= kMaxSearchRotation,
+                "search/max_rotation", parameters.search_max_rotation_rad, "more than 0, at most 0.8 rad");
   read(reader, "time_budget", parameters.time_budget_s);
   requireOption(parameters.time_budget_s > 0.0, "time_budget", parameters.time_budget_s, "more than 0 s");
   read(reader, "queue_size", parameters.queue_size);

@@ -164,7 +164,7 @@ RegistrationRos::RefinementResult RegistrationRos::refineRequest(const Refinemen
     {
       return resultMessage(stop_ || cancel_ ? RefinementResult::CANCELLED : RefinementResult::NO_EXPOSURE, reason);
     }
-    RegistrationRequest request = requestFor(exposure, progress);
+    RegistrationRequest request = requestFor(exposure, searchOf(message), progress);
     applyRequest(message, request);
     return run(*registration, request);
   }

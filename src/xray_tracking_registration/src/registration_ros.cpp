@@ -278,7 +278,8 @@ RegistrationRos::RefinementResult RegistrationRos::refineExposure(const Exposure
   }
   try
   {
-    RegistrationRequest request = requestFor(due.exposure, [this](const RegistrationProgress&) { return !stop_; });
+    RegistrationRequest request =
+        requestFor(due.exposure, Search::NEAR, [this](const RegistrationProgress&) { return !stop_; });
     request.room_from_patient = accepted_pose_;
     const RefinementResult result = run(*registration, request);
     if (result.status == RefinementResult::SUCCESS)
@@ -303,15 +304,17 @@ std::shared_ptr<const Registration> RegistrationRos::currentRegistration()
   return registration_;
 }
 
-RegistrationRequest RegistrationRos::requestFor(const StoredExposure& exposure, const Progress& progress)
+RegistrationRequest RegistrationRos::requestFor(const StoredExposure& exposure, Search search, const Progress& progress)
 {
   RegistrationRequest request;
   request.views = viewsOf(exposure, setup_, tf_buffer_);
   request.intensity = setup_.intensity;
   usable_pixels_.apply(static_cast<std::int64_t>(exposure.images.front()->header.stamp.toNSec()), request);
   request.target_from_rest = target_from_rest_;
-  request.max_translation_mm = parameters_.max_translation_mm;
-  request.max_rotation_rad = parameters_.max_rotation_rad;
+  const bool wide = search == Search::WIDE;
+  request.search = search;
+  request.max_translation_mm = wide ? parameters_.search_max_translation_mm : parameters_.max_translation_mm;
+  request.max_rotation_rad = wide ? parameters_.search_max_rotation_rad : parameters_.max_rotation_rad;
   request.time_budget = std::chrono::duration<double>(parameters_.time_budget_s);
   request.progress = progress;
   return request;

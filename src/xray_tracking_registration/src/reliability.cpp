@@ -4,10 +4,7 @@
 #include <cmath>
 
 #include <Eigen/Cholesky>
-#include <Eigen/Eigenvalues>
 #include <Eigen/Geometry>
-
-#include "message.h"
 
 namespace xray_tracking
 {
@@ -17,9 +14,6 @@ constexpr int kTiles = 4;  // along either edge of a view's region
 // The squared error is this much larger than the spread over the tiles, as all share the CT's noise and blur. Measured
 // on exact X-rays of the phantom and on real anatomy, where it is alike.
 constexpr double kCalibration = 2.5;
-
-// Of what is fine, whatever the coarse similarity: a few millimetres off the latter is still high.
-constexpr double kLeastSimilarity = 0.52;
 
 /// Gradient of one tile of a view.
 Eigen::VectorXd tileGradient(const ViewLevel& view, const Linearisation& at, std::size_t v, Eigen::Index unknowns,
@@ -64,52 +58,21 @@ Eigen::Matrix<double, 6, 6> poseCovariance(const std::vector<ViewLevel>& views, 
   return kCalibration * sum;
 }
 
-namespace
+double expectedError(const Eigen::Matrix<double, 6, 6>& covariance, const RigidTransform& room_from_patient,
+                     const Eigen::AlignedBox3d& box)
 {
-/// Of another vertebra either one may be high.
-double bothSimilarities(const ViewResidual& view)
-{
-  return std::sqrt(std::max(0.0, view.coarse_similarity) * std::max(0.0, view.similarity));
-}
-}  // namespace
-
-double leastSimilarity(const std::vector<ViewResidual>& views)
-{
-  double least = 1.0;
-  for (const ViewResidual& view : views)
+  double sum = 0.0;
+  for (int corner = 0; corner < 8; ++corner)
   {
-    least = std::min(least, bothSimilarities(view));
+    const Eigen::Vector3d arm =
+        room_from_patient.linear() * (box.corner(static_cast<Eigen::AlignedBox3d::CornerType>(corner)) - box.center());
+    Eigen::Matrix<double, 3, 6> moves;
+    moves << 0.0, arm.z(), -arm.y(), 1.0, 0.0, 0.0,  //
+        -arm.z(), 0.0, arm.x(), 0.0, 1.0, 0.0,       //
+        arm.y(), -arm.x(), 0.0, 0.0, 0.0, 1.0;
+    sum += (moves * covariance * moves.transpose()).trace();
   }
-  return least;
-}
-
-std::string doubt(const std::vector<ViewResidual>& views, const Eigen::Matrix<double, 6, 6>& covariance,
-                  const RegistrationOptions& options)
-{
-  for (std::size_t v = 0; v < views.size(); ++v)
-  {
-    const double coarse = views[v].coarse_similarity;
-    if (!(coarse >= options.min_coarse_similarity))
-    {
-      return message("coarse similarity of view ", v, " is ", coarse, ", below ", options.min_coarse_similarity);
-    }
-    if (!(views[v].similarity >= kLeastSimilarity))
-    {
-      return message("similarity of view ", v, " is ", views[v].similarity, ", below ", kLeastSimilarity);
-    }
-    const double both = bothSimilarities(views[v]);
-    if (!(both >= options.min_similarity))
-    {
-      return message("similarity of view ", v, " is ", both, ", below ", options.min_similarity);
-    }
-  }
-  const double variance =
-      Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(covariance.bottomRightCorner<3, 3>()).eigenvalues().maxCoeff();
-  if (!(variance <= options.max_deviation_mm * options.max_deviation_mm))
-  {
-    return message("expected error is ", std::sqrt(variance), " mm, above ", options.max_deviation_mm);
-  }
-  return "";
+  return std::sqrt(sum / 8.0);
 }
 
 std::vector<ViewResidual> viewResiduals(const std::vector<ViewLevel>& views, const Linearisation& at,

@@ -15,10 +15,8 @@ Eigen::Matrix<double, 6, 6> poseCovariance(const std::vector<ViewLevel>& views, 
 std::vector<ViewResidual> viewResiduals(const std::vector<ViewLevel>& views, const Linearisation& at,
                                         const Eigen::Vector3d& room_centre);
 
-/// The least of all views' geometric means of similarity and coarse similarity, 0 to 1.
-double leastSimilarity(const std::vector<ViewResidual>& views);
-
-/// Why a pose with these figures is not to be believed; empty if nothing speaks against it.
-std::string doubt(const std::vector<ViewResidual>& views, const Eigen::Matrix<double, 6, 6>& covariance,
-                  const RegistrationOptions& options);
+/// Root mean square over the box's corners of what the pose's covariance moves them by [mm].
+/// @param box in the patient frame, about whose centre the covariance is
+double expectedError(const Eigen::Matrix<double, 6, 6>& covariance, const RigidTransform& room_from_patient,
+                     const Eigen::AlignedBox3d& box);
 }  // namespace xray_tracking

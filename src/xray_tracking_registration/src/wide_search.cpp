@@ -13,13 +13,13 @@ namespace
 constexpr std::size_t kPlaces = 24;
 constexpr int kDescents = 6;     // at most
 constexpr double kBehind = 0.1;  // in PoseSearch::similarity(): places that are not worth a descent
-constexpr double kMet = 1.0;     // [mm]
-/// Ends nearer to each other than this share of the target's size are one place, not well told: no rivals.
-constexpr double kApart = 0.25;
-/// A rival with more than this share of the answer's similarity is as good. The right place's rivals have 0.2 to 0.6 of
-/// it (phantom, thorax), 0.69 (wrist), 0.85 where the next vertebra is most like it.
-constexpr double kAsGood = 0.85;
-
+constexpr double kMet = 1.0;     // apart [mm]
+constexpr int kMeetings = 3;
+// Shares of the target's size, the root mean square distance of its box from its centre: places nearer to the answer
+// than the first lead to it; ends nearer to each other than the second are one place, not well told. The next vertebra
+// is farther away than both.
+constexpr double kNearby = 0.6;
+constexpr double kSame = 0.3;
 }  // namespace
 
 Found searchAround(const Run& run, const Bodies& bodies, const Descender& descender,
@@ -31,21 +31,21 @@ Found searchAround(const Run& run, const Bodies& bodies, const Descender& descen
   const PoseSearch search(run, bodies, target_box, start, bounds, descender.together());
   const auto apart = [&](const PosePair& a, const PosePair& b)
   { return targetRegistrationError(a.target, b.target, target_box); };
-  const double distinct = kApart * target_box.sizes().norm();
+  const double size = target_box.sizes().norm() / std::sqrt(12.0);
   std::vector<Outcome> ends;
   double similarity = 0.0;  // of the answer, as the search has it
   int descents = 0;
-  bool met = false;    // two descents, where the answer is
-  bool rival = false;  // has been looked for elsewhere
+  int met = 0;         // descents that ended where the answer is
+  bool rival = false;  // is known
   for (const Place& place : search.places(kPlaces))
   {
     if (descents == kDescents || run.control.stop() != RunControl::Stop::NONE)
     {
       break;
     }
-    // Where a descent is believed, or two have met, no further one is needed from nearby.
-    const bool settled = found.answer.doubt.empty() || met;
-    if (settled && apart(place.poses, found.answer.poses) < distinct)
+    // Where a descent is believed, or three have met, no further one is needed from nearby.
+    const bool settled = found.answer.doubt.empty() || met >= kMeetings;
+    if (settled && apart(place.poses, found.answer.poses) < kNearby * size)
     {
       continue;
     }
@@ -56,38 +56,40 @@ Found searchAround(const Run& run, const Bodies& bodies, const Descender& descen
     }
     Outcome end = descender.descend(run, place.poses, Path::COARSE);
     ++descents;
-    rival = rival || settled;
-    const bool there = apart(end.poses, found.answer.poses) < kMet;
+    const double from_answer = apart(end.poses, found.answer.poses);
+    rival = rival || (settled && from_answer > kSame * size);
+    const bool there = from_answer < kMet;
     if (end.similarity > found.answer.similarity)
     {
       found.answer = end;
       similarity = search.similarity(end.poses);
-      met = there;
+      met = there ? met : 0;
     }
-    met = met || there;
+    met += apart(end.poses, found.answer.poses) < kMet ? 1 : 0;
     ends.push_back(std::move(end));
+  }
+  if (found.answer.views.empty() && !ends.empty())
+  {
+    found.answer.doubt = ends.front().doubt;
   }
   std::sort(ends.begin(), ends.end(), [](const Outcome& a, const Outcome& b) { return a.similarity > b.similarity; });
   for (const Outcome& end : ends)
   {
-    const bool own =
-        end.views.empty() || apart(end.poses, found.answer.poses) < distinct ||
-        std::any_of(found.rivals.begin(), found.rivals.end(),
-                    [&](const Rival& rival) {
-                      return targetRegistrationError(rival.room_from_patient, end.poses.target, target_box) < distinct;
-                    });
+    const bool own = end.views.empty() || apart(end.poses, found.answer.poses) < kSame * size ||
+                     std::any_of(found.rivals.begin(), found.rivals.end(),
+                                 [&](const Rival& rival) {
+                                   return targetRegistrationError(rival.room_from_patient, end.poses.target,
+                                                                  target_box) < kSame * size;
+                                 });
     if (!own)
     {
       found.rivals.push_back({ end.poses.target, apart(end.poses, found.answer.poses),
                                rotationAngle(found.answer.poses.target.inverse() * end.poses.target), end.similarity });
     }
   }
-  if (found.answer.doubt.empty() && !found.rivals.empty() &&
-      found.rivals.front().similarity > kAsGood * found.answer.similarity)
+  if (!found.rivals.empty())
   {
-    const Rival& rival = found.rivals.front();
-    found.answer.doubt = message("a place ", rival.distance_mm, " mm and ", rival.rotation_rad,
-                                 " rad away is as similar: ", rival.similarity, ", here ", found.answer.similarity);
+    doubtIfRivalled(found.rivals.front(), found.answer);
   }
   return found;
 }

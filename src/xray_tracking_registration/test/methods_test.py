@@ -127,9 +127,11 @@ class MethodsTest(RegistrationTestCase):
         self.assertEqual(refine(request).result.status, RefinementResult.UNRELIABLE)
 
     def test_bad_parameter(self):
-        refine = rospy.ServiceProxy("/bad_parameter/registration/refine_pose", RefinePose)
-        refine.wait_for_service(TIMEOUT)
-        self.wait_for(lambda: "guessing" in refine(RefinementRequest()).result.reason, "the reason")
+        for where, what in (("bad_parameter", "guessing"), ("bad_search", "search/max_translation is 0.11"),
+                            ("bad_search_rotation", "search/max_rotation is 0")):
+            refine = rospy.ServiceProxy(f"/{where}/registration/refine_pose", RefinePose)
+            refine.wait_for_service(TIMEOUT)
+            self.wait_for(lambda: what in refine(RefinementRequest()).result.reason, f"the reason: {what}")
         answer = rospy.ServiceProxy("/bad_parameter/registration/load_volume", LoadVolume)("/nowhere")
         self.assertFalse(answer.success)
         self.assertIn("guessing", answer.message)

@@ -380,7 +380,7 @@ TEST(Registration, OneViewAloneIsUncertainAlongItsRays)
 TEST(Registration, NamesWhatIsWrongWithOptions)
 {
   RegistrationOptions options;
-  options.max_deviation_mm = -1.0;
+  options.min_probability = 1.5;
   EXPECT_THROW(Registration(phantom().bodies(), phantom().targetBox(), options), std::invalid_argument);
   EXPECT_THROW(Registration(BodyModel(), phantom().targetBox()), std::invalid_argument);
   EXPECT_THROW(Registration(phantom().bodies(), Eigen::AlignedBox3d()), std::invalid_argument);

@@ -156,6 +156,23 @@ class RequestsTest(RegistrationTestCase):
         self.check_bad(self.good(regions=[outside, outside]), RefinementResult.INVALID)
         self.check_bad(self.good(time_budget=1e-5), RefinementResult.TIMED_OUT, "budget")
 
+    def test_wide(self):
+        seed = shifted(self.exposure.truth, 0.02, -0.015, 0.01)
+        result = self.service(self.good(search="wide", seed=seed)).result
+        self.assertEqual(result.status, RefinementResult.SUCCESS, result.reason)
+        self.assertLess(self.error_mm(result.pose.pose, self.exposure.truth), 0.5)
+        self.assertTrue(result.rivals)
+        for rival in result.rivals:
+            self.assertGreater(rival.distance, 0.005)
+            self.assertLess(rival.similarity, result.similarity_after)
+            self.assertGreater(self.error_mm(rival.pose, self.exposure.truth), 5.0)
+        # Not within the bounds that the request names.
+        self.check_bad(self.good(search="wide", seed=seed, max_translation=0.015), RefinementResult.UNRELIABLE)
+        self.check_bad(self.good(search="everywhere"), RefinementResult.INVALID, "search", "everywhere", "wide")
+        self.check_bad(self.good(search="wide", max_translation=0.2), RefinementResult.INVALID, "200", "100 mm")
+        region = RegionOfInterest(x_offset=150, y_offset=150, width=200, height=200)
+        self.check_bad(self.good(search="wide", regions=[region, region]), RefinementResult.INVALID, "region")
+
     def test_volumes(self):
         with tempfile.TemporaryDirectory() as folder:
             for path, word in ((not_a_volume(folder), "not_a_volume.nrrd"), ("/nowhere", "/nowhere"), ("", "path")):

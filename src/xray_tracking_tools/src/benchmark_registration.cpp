@@ -5,6 +5,7 @@
 #include "benchmark_registration/mask_picture.h"
 #include "benchmark_registration/random_trials.h"
 #include "benchmark_registration/real_sequences.h"
+#include "benchmark_registration/wide_starts.h"
 #include "xray_tracking_core/volume/body_model.h"
 #include "xray_tracking_core/volume/target_mask.h"
 #include "xray_tracking_tools/command_line.h"
@@ -86,6 +87,10 @@ std::vector<FigureTable> measureSubject(Subject subject, const po::variables_map
   subject.ct = CtVolume();
   std::cout << subject.name << ", " << subject.exposures.images.size() << " exposures, " << bodies
             << (bodies == 1 ? " body" : " bodies") << "; errors in mm\n";
+  if (arguments.count("wide") != 0)
+  {
+    return { measureWideStarts(subject, registration, starts, trials) };
+  }
   std::vector<FigureTable> tables{ measureRefinement(subject, registration, starts / 2, trials),
                                    measureCaptureRange(subject, registration, starts, trials) };
   if (options.projector == Projector::ATTENUATION_FIELD)
@@ -148,7 +153,8 @@ int main(int argc, char** argv)
       "SEQUENCE_DIR | --phantom [--target c4] [--room cyberknife] [--voxel 1] [--rest_mm 4] [--rest_degrees 2]\n"
       "       | --real DIR | --random DIR [--seed 1] [--subjects 20]\n"
       "       [--bodies 2] [--starts 200] [--optimiser gauss_newton] [--similarity gradient_correlation]\n"
-      "       [--projector shear_warp] [--mask_picture FILE] [--json FILE] [--csv FILE]";
+      "       [--projector shear_warp] [--mask_picture FILE] [--json FILE] [--csv FILE]\n"
+      "       [--wide]";
   command_line.description =
       "Registers exposures from wrong starts. A sequence's, or closed-form ones of the neck phantom whose rest moves\n"
       "otherwise, as van de Kraats et al. (IEEE TMI 24(9), 2005): success by the start's distance, capture range, "
@@ -175,7 +181,9 @@ int main(int argc, char** argv)
       "similarity", po::value<std::string>()->default_value("gradient_correlation"),
       "of the derivative-free optimisers")("projector", po::value<std::string>()->default_value("shear_warp"),
                                            "shear_warp, ray_casting or attenuation_field")(
-      "mask_picture", po::value<std::string>(), "draws the target's mask to this image file")(
+      "wide",
+      "of a sequence or the phantom, instead: wide searches from starts up to 25 mm and 10 degrees off along "
+      "and about every axis")("mask_picture", po::value<std::string>(), "draws the target's mask to this image file")(
       "json", po::value<std::string>(), "writes the figures to this file")(
       "csv", po::value<std::string>(), "writes one row a registration to this file, for fit_belief.py");
   return xray_tracking::runCommand(argc, argv, command_line, xray_tracking::benchmarkRegistration);

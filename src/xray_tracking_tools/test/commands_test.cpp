@@ -7,8 +7,11 @@
 
 #include "recorded_run.h"
 #include "test_helpers.h"
+#include "xray_tracking_core/evaluation/evaluation.h"
 #include "xray_tracking_core/sequence/treatment_setup.h"
+#include "xray_tracking_core/volume/attenuation.h"
 #include "xray_tracking_core/volume/ct_volume.h"
+#include "xray_tracking_core/volume/neck_phantom.h"
 #include "xray_tracking_tools/exposure_set.h"
 
 namespace xray_tracking
@@ -321,6 +324,86 @@ TEST(SetupFromCt, endsOnBadInput)
   EXPECT_TRUE(contains(run("setup_from_ct " + folder.file("ct.nrrd") + " " + out + " --target 1 2").output,
                        "--target has 2 values, expected 3"));
   EXPECT_FALSE(std::filesystem::exists(out));
+}
+
+/// The neck phantom in two views as a sequence of one exposure, with its CT; the initial pose is 25 mm and 8 degrees
+/// off.
+/// @return the pose
+RigidTransform writePhantomSequence(const TemporaryFolder& folder)
+{
+  const NeckPhantom phantom;
+  TreatmentSetup setup = loadTreatmentSetup(coreConfigPath("phantom_neck.yaml"));
+  setup.ct_path = folder.file("ct.nrrd");
+  writeCtVolume(phantom.sampleCt(PhantomCtOptions()), setup.ct_path);
+  const RigidTransform pose = setup.room_from_patient;
+  std::string frames = "stamp_s,detector,file\n";
+  for (const ProjectionGeometry& detector : setup.detectors)
+  {
+    cv::Mat soft, bone, counts;
+    phantom.lineIntegrals(detector, pose, pose, soft, bone);
+    counts = -(soft * kWaterAttenuation + bone * kBoneAttenuation);
+    cv::exp(counts, counts);
+    counts.convertTo(counts, CV_16U, *setup.intensity.air_counts - setup.intensity.offset, setup.intensity.offset);
+    cv::imwrite(folder.file(detector.name() + ".png"), counts);
+    frames += "0," + detector.name() + ',' + detector.name() + ".png\n";
+  }
+  Twist off;
+  off << 0.08, -0.1, 0.06, 15.0, -16.0, 12.0;
+  setup.room_from_patient = motionAbout(pose * setup.targetCentre(), off) * pose;
+  saveTreatmentSetup(setup, folder.file("sequence.yaml"));
+  std::ofstream(folder.file("sequence.yaml"), std::ios::app) << "frames: frames.csv\n";
+  folder.write("frames.csv", frames);
+  return pose;
+}
+
+TEST(AlignSequence, findsTheFirstPoseOrSaysThatItDoesNot)
+{
+  const TemporaryFolder folder;
+  const RigidTransform pose = writePhantomSequence(folder);
+  const std::string out = folder.file("aligned.yaml");
+  const CommandResult aligned = run("align_sequence " + folder.file("") + ' ' + out);
+  ASSERT_EQ(0, aligned.status) << aligned.output;
+  EXPECT_TRUE(contains(aligned.output, "aligned: 25 mm and 8")) << aligned.output;
+  EXPECT_TRUE(contains(aligned.output, "other places: ")) << aligned.output;
+  // All else stays as it is.
+  const TreatmentSetup before = loadTreatmentSetup(folder.file("sequence.yaml"));
+  const TreatmentSetup after = loadTreatmentSetup(out);
+  EXPECT_LT(targetRegistrationError(after.room_from_patient, pose, before.target_box), 0.3);
+  EXPECT_EQ(before.ct_path, after.ct_path);
+  EXPECT_EQ(before.detectors.size(), after.detectors.size());
+  EXPECT_TRUE(before.target_box.isApprox(after.target_box));
+  std::filesystem::remove(out);
+
+  // 25 mm off, and only 15 allowed.
+  const CommandResult bounded = run("align_sequence " + folder.file("") + ' ' + out + " --max_mm 15");
+  EXPECT_EQ(1, bounded.status) << bounded.output;
+  EXPECT_TRUE(contains(bounded.output, "align_sequence: the first exposure's pose was not found")) << bounded.output;
+  EXPECT_TRUE(contains(bounded.output, "; the best is ")) << bounded.output;
+  EXPECT_FALSE(std::filesystem::exists(out));
+}
+
+TEST(AlignSequence, endsOnBadInput)
+{
+  const TemporaryFolder folder;
+  const std::string out = folder.file("aligned.yaml");
+  const auto fails = [&](const std::string& options, const std::string& named)
+  {
+    const CommandResult result = run("align_sequence " + folder.file("") + ' ' + out + options);
+    EXPECT_EQ(1, result.status) << named;
+    EXPECT_TRUE(contains(result.output, named)) << result.output;
+    EXPECT_FALSE(std::filesystem::exists(out));
+  };
+  fails("", "sequence.yaml");
+  writeTestSequence(folder);
+  fails("", "ct is absent");
+  writePhantomSequence(folder);
+  fails(" --max_mm 101", "101");
+  fails(" --max_mm nan", "nan");
+  fails(" --max_degrees 0", "0");
+  cv::imwrite(folder.file("detector_a.png"), cv::Mat::zeros(512, 512, CV_16UC1));
+  fails("", "detector_a");
+  std::filesystem::remove(folder.file("ct.nrrd"));
+  fails("", "ct.nrrd");
 }
 }  // namespace
 }  // namespace xray_tracking

@@ -20,6 +20,9 @@ namespace xray_tracking
 std::vector<RegistrationView> viewsOf(const StoredExposure& exposure, const TreatmentSetup& setup,
                                       const tf2_ros::Buffer& tf_buffer);
 
+/// How wide a request wants the pose searched. @throws std::invalid_argument naming the field and its value
+Search searchOf(const xray_tracking_msgs::RefinementRequest& message);
+
 /// Seed, bounds, budget and regions of a request onto `request`, whose values stay where the message has zeros.
 /// @throws std::invalid_argument naming the field and its value
 void applyRequest(const xray_tracking_msgs::RefinementRequest& message, RegistrationRequest& request);

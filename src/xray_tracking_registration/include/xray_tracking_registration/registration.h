@@ -45,12 +45,8 @@ struct RegistrationOptions
   std::string similarity = "gradient_correlation";
   /// Shear-warp is faster than either other one by far; the attenuation field is what ray casting needs to be usable.
   Projector projector = Projector::SHEAR_WARP;
-  /// What every view needs to be believed, 0 to 1: the geometric mean of ViewResidual::similarity and
-  /// coarse_similarity. The next vertebra is like the right one either in what is fine or in what is coarse.
-  double min_similarity = 0.6;
-  double min_coarse_similarity = 0.5;  ///< ViewResidual::coarse_similarity that every view needs, -1 to 1
-  double max_deviation_mm = 0.75;  ///< expected error from which a pose is not believed (square root of the covariance
-                                   ///< of the least certain direction), > 0 [mm]
+  /// Probability from which a result is believed (RegistrationResult::probability), 0 to 1.
+  double min_probability = 0.95;
 
   /// @throws std::invalid_argument naming the option, its value and what was expected
   void validate() const;
@@ -81,9 +77,12 @@ enum class Search
   WIDE   ///< it may be anywhere within the bounds: searches all of them, and says what else is alike
 };
 
-/// Bounds of a wide search: time grows with their third powers.
-constexpr double kMaxSearch = 100.0;        ///< [mm]
-constexpr double kMaxSearchRotation = 0.8;  ///< [rad]
+/// Bounds of a wide search [mm, rad]: what 25 mm and 10 degrees along and about every axis come to, and the widest;
+/// time grows with their third powers.
+constexpr double kUsualSearch = 45.0;
+constexpr double kUsualSearchRotation = 0.31;
+constexpr double kMaxSearch = 100.0;
+constexpr double kMaxSearchRotation = 0.8;
 
 struct RegistrationRequest
 {
@@ -94,6 +93,9 @@ struct RegistrationRequest
   /// target_from_rest. Best the last exposure's result.
   RigidTransform target_from_rest = RigidTransform::Identity();
   Search search = Search::NEAR;
+  /// Whether the start follows from a believed pose, of an exposure shortly before, so that it is at the right
+  /// vertebra.
+  bool start_verified = false;
   /// Of the target's centre from the start, > 0 [mm]. The tighter the better: beyond 18 mm the next vertebra is in
   /// question too. At most kMaxSearch of a wide search.
   double max_translation_mm = 30.0;
@@ -126,6 +128,25 @@ struct ViewResidual
   double saturation = 0.0;
 };
 
+/// A result is believed if it is probable enough that the target is off by less than this, root mean square over its
+/// box [mm].
+constexpr double kBelievedError = 1.5;
+
+/// What a result's probability follows from. No figure hangs on dose, tone, pitch or magnification.
+struct BeliefFigures
+{
+  /// Of the target, root mean square over its box's corners, by how far apart what tiles of the images say is [mm].
+  double expected_error_mm = 0.0;
+  double least_similarity = 0.0;         ///< of the views' ViewResidual::similarity
+  double least_coarse_similarity = 0.0;  ///< of the views' ViewResidual::coarse_similarity
+  double pull_mm = 0.0;                  ///< the largest of the views' ViewResidual::pull_mm
+  /// How much more alike the views are than with the target shifted elsewhere, by 5 to 25 mm: mean correlation here and
+  /// in the best other place, and in standard deviations of all other places.
+  double here = 0.0;
+  double rival = 0.0;
+  double distinctness = 0.0;
+};
+
 /// Another place that was found, and is not the answer.
 struct Rival
 {
@@ -138,7 +159,9 @@ struct Rival
 struct RegistrationResult
 {
   RegistrationStatus status = RegistrationStatus::INVALID;
-  std::string reason;  ///< why it stopped, or why it is not to be believed; never empty
+  std::string reason;        ///< why it stopped, or why it is not to be believed; never empty
+  double probability = 0.0;  ///< that the target is off by less than kBelievedError, 0 to 1; 0 where nothing is known
+  BeliefFigures figures;     ///< zeros where nothing is known
   RigidTransform room_from_patient = RigidTransform::Identity();
   RigidTransform target_from_rest = RigidTransform::Identity();  ///< as requested if there is one body alone
   /// Of the twist (rotation [rad], translation [mm]) about the target's centre in the room:

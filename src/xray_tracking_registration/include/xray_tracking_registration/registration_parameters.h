@@ -35,6 +35,8 @@ struct RegistrationParameters
   RegistrationOptions options;
   double max_translation_mm = 30.0;
   double max_rotation_rad = 0.26;
+  double search_max_translation_mm = kUsualSearch;
+  double search_max_rotation_rad = kUsualSearchRotation;
   double time_budget_s = 5.0;
   int queue_size = 50;  ///< exposures
 };

@@ -86,7 +86,7 @@ private:
   /// The registration in use; null if there is none.
   std::shared_ptr<const Registration> currentRegistration();
   /// With all but the start.
-  RegistrationRequest requestFor(const StoredExposure& exposure, const Progress& progress);
+  RegistrationRequest requestFor(const StoredExposure& exposure, Search search, const Progress& progress);
   RefinementResult run(const Registration& registration, const RegistrationRequest& request);
 
   /// Takes the place of the one request; @return false if there is one already

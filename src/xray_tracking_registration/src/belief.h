@@ -1,0 +1,13 @@
+#pragma once
+
+#include "xray_tracking_registration/registration.h"
+
+namespace xray_tracking
+{
+/// How probable it is that the target is off by less than kBelievedError, from the figures of a result: a logistic
+/// model (docs/belief.md), 0 to 1. 0 where a figure is not finite.
+double probabilityOf(const BeliefFigures& figures);
+
+/// The figure that speaks most against a result, in words.
+std::string mostDoubtful(const BeliefFigures& figures);
+}  // namespace xray_tracking
