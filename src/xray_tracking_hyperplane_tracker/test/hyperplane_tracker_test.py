@@ -163,7 +163,9 @@ class HyperplaneTrackerTest(TrackerTestCase):
 
         def flat():
             image = exposure()
-            image.data = numpy.full(WIDTH * HEIGHT, 5000, "<u2").tobytes()
+            counts = numpy.frombuffer(image.data, "<u2").reshape(HEIGHT, WIDTH).copy()
+            counts[40:160, 55:185] = 20000
+            image.data = counts.tobytes()
             return image
         response, answers = self.call_among_exposures(detector, flat, train, REGION)
         self.assertEqual(response.status, TrainRegionResponse.INVALID_REGION)
