@@ -141,11 +141,7 @@ class TrackerControlTest(TrackerTestCase):
             stamp, answer = self.show(detector, exposure(*truth, seed=k))
             self.judge(answer, stamp, reference, truth)
 
-        def black():
-            image = exposure()
-            image.data = bytes(len(image.data))
-            return image
-        outcome, _ = self.call_among_exposures(detector, black, retrain)
+        outcome, _ = self.call_among_exposures(detector, turned, retrain)
         self.assertFalse(outcome.success)
         self.assertIn("lost", outcome.message)
 
