@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cmath>
 #include <memory>
 #include <optional>
 #include <utility>
@@ -33,6 +34,12 @@ public:
   void reset();
   bool trained() const { return tracker_->trained(); }
   cv::Rect region() const { return tracker_->region(); }
+  /// Where the region was last found [px], its size kept.
+  cv::Rect lastPlace() const
+  {
+    return region() +
+           cv::Point(static_cast<int>(std::lround(last_good_.x())), static_cast<int>(std::lround(last_good_.y())));
+  }
 
   /// As RegionTracker::track; where it fails at most seven more of its searches in the same image.
   const TrackResult& track(const cv::Mat& image);
