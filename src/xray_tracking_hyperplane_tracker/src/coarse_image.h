@@ -20,7 +20,7 @@ public:
 
   /// The bins of the last part, CV_16UC1.
   const cv::Mat& pixels() const { return pixels_; }
-  int area() const { return bin_ * bin_; }  ///< pixels a bin
+  int bin() const { return bin_; }  ///< edge [px]
   bool isWhole() const { return pixels_.size() == size_; }
   /// From a map to the image to one to pixels().
   PixelMap toBins(const PixelMap& map) const;

@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <vector>
 
 #include <Eigen/Eigenvalues>
 #include <opencv2/imgproc.hpp>
@@ -15,24 +14,6 @@ namespace
 /// Smoothing before the gradient [px]: most noise is gone, bone edges are not.
 constexpr double kScale = 2.0;
 
-/// White noise by the median of |second differences in both directions|, which smooth structure does not reach
-/// (Immerkaer 1996; 6 is the kernel's norm, 0.6745 the median of |N(0, 1)|).
-double noiseOf(const cv::Mat& values)
-{
-  const cv::Matx33f kernel(1, -2, 1, -2, 4, -2, 1, -2, 1);
-  cv::Mat response;
-  cv::filter2D(values, response, CV_32F, kernel);
-  std::vector<float> magnitudes;
-  magnitudes.reserve(response.total());
-  for (int row = 0; row < response.rows; ++row)
-  {
-    const float* p = response.ptr<float>(row);
-    std::transform(p, p + response.cols, std::back_inserter(magnitudes), [](float v) { return std::abs(v); });
-  }
-  const auto middle = magnitudes.begin() + static_cast<std::ptrdiff_t>(magnitudes.size() / 2);
-  std::nth_element(magnitudes.begin(), middle, magnitudes.end());
-  return *middle / 0.6745 / 6.0;
-}
 }  // namespace
 
 ContrastCheck checkContrast(const cv::Mat& image, const IntensityModel& intensity, const cv::Rect& region,
@@ -45,13 +26,12 @@ ContrastCheck checkContrast(const cv::Mat& image, const IntensityModel& intensit
       cv::Rect(cv::Point(), image.size());
   cv::Mat values = attenuationImage(image(seen), intensity);
   ContrastCheck check;
-  double quantum = 1.0;
+  double quantum = greyStep(image(seen));
   if (intensity.kind == IntensityModel::Kind::COUNTS)
   {
-    quantum = 1.0 / std::max(1.0, cv::mean(image(region))[0] - intensity.offset);
+    quantum /= std::max(1.0, cv::mean(image(region))[0] - intensity.offset);
   }
-  check.least_variance = quantum * quantum / 6.0;  // of two values, each uniform over one step
-  check.noise = std::max(noiseOf(values), std::sqrt(check.least_variance / 2.0));
+  check.noise = NoiseSpectrum(values, unsaturated(image, seen, intensity), quantum * quantum / 12.0);
 
   cv::GaussianBlur(values, values, cv::Size(), kScale);
   Points gradients(points.rows(), 2);
@@ -63,14 +43,15 @@ ContrastCheck checkContrast(const cv::Mat& image, const IntensityModel& intensit
     gradients(i, 1) = 0.5f * (values.at<float>(y + 1, x) - values.at<float>(y - 1, x));
   }
   nuisance.removeFrom(gradients);
-  // The variance of a derivative of white noise smoothed by a Gaussian.
-  const double noise_gradient = check.noise * check.noise / (8.0 * M_PI * std::pow(kScale, 4));
+  const double noise_gradient =
+      check.noise.variance([](double u, double v)
+                           { return 2.0 * M_PI * u * std::exp(-2.0 * std::pow(M_PI * kScale, 2) * (u * u + v * v)); });
   const Eigen::Matrix2d tensor = (gradients.transpose() * gradients).cast<double>();
   const double weakest = Eigen::SelfAdjointEigenSolver<Eigen::Matrix2d>(tensor).eigenvalues()[0] -
                          static_cast<double>(points.rows()) * noise_gradient;
   check.gradient = std::sqrt(std::max(0.0, weakest) / static_cast<double>(points.rows()));
   // Both images have the noise, hence the factor 2.
-  check.predicted_sd = weakest > 0.0 ? std::sqrt(2.0 * check.noise * check.noise / samples) / check.gradient
+  check.predicted_sd = weakest > 0.0 ? std::sqrt(2.0 * check.noise.slowPower() / samples) / check.gradient
                                      : std::numeric_limits<double>::infinity();
   return check;
 }

@@ -2,6 +2,7 @@
 
 #include <string>
 
+#include "noise_spectrum.h"
 #include "point_sampler.h"
 #include "predictor.h"
 
@@ -11,10 +12,9 @@ namespace xray_tracking
 /// intensity model.
 struct ContrastCheck
 {
-  double noise = 0.0;           ///< standard deviation of the white noise
-  double gradient = 0.0;        ///< rms grey-value change a pixel in the weakest direction, without the noise's share
-  double predicted_sd = 0.0;    ///< of the displacement in that direction [px]: Cramer-Rao bound; infinity: no texture
-  double least_variance = 0.0;  ///< of a difference of two grey values, from quantisation alone
+  NoiseSpectrum noise;
+  double gradient = 0.0;      ///< rms grey-value change a pixel in the weakest direction, without the noise's share
+  double predicted_sd = 0.0;  ///< of the displacement in that direction [px]: Cramer-Rao bound; infinity: no texture
 };
 
 /// @param points where the texture is looked at; @param nuisance what is not counted as texture there

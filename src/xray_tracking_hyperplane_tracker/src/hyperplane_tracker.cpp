@@ -5,6 +5,7 @@
 #include <optional>
 #include <stdexcept>
 
+#include "coarse_image.h"
 #include "image_check.h"
 #include "point_sampler.h"
 #include "region_template.h"
@@ -36,6 +37,7 @@ void HyperplaneTrackerOptions::validate() const
 {
   const auto require_positive = [](const char* key, double value)
   { requireOption(std::isfinite(value) && value > 0.0, key, value, "a number > 0"); };
+  requireInRange("reduction", reduction, 1, 64);
   requireInRange("points", points, 50, 20000);
   requireOption(!ranges.empty(), "ranges", "empty", "one number or more");
   for (std::size_t i = 0; i < ranges.size(); ++i)
@@ -62,10 +64,63 @@ void HyperplaneTrackerOptions::validate() const
   require_positive("max_predicted_sd", max_predicted_sd);
 }
 
+/// What a tracker sees of images: means over squares of pixels, or the images themselves.
+class HyperplaneTracker::View
+{
+public:
+  View(const cv::Mat& image, const cv::Rect& region, int reduction)
+    : size_(image.size()), type_(image.type()), region_(region)
+  {
+    constexpr int kLeastSize = 32;
+    edge_ = std::clamp(reduction, 1, std::max(1, std::min(region.width, region.height) / kLeastSize));
+    if (edge_ > 1)
+    {
+      means_.emplace(image, edge_);
+    }
+  }
+
+  /// No allocation; what is returned lasts until the next image.
+  const cv::Mat& operator()(const cv::Mat& image)
+  {
+    requireTemplatesKind(image, size_, type_);
+    if (!means_)
+    {
+      return image;
+    }
+    means_->update(image, cv::Rect(cv::Point(), size_));
+    return means_->pixels();
+  }
+  IntensityModel intensity(const IntensityModel& of_image) const
+  {
+    return means_ ? means_->intensity(of_image) : of_image;
+  }
+  const cv::Rect& region() const { return region_; }
+  cv::Rect reducedRegion() const
+  {
+    return { region_.x / edge_, region_.y / edge_, region_.width / edge_, region_.height / edge_ };
+  }
+  int edge() const { return edge_; }
+  /// From the middle of the reduced region to the region's, in the image [px].
+  Eigen::Vector2d offset() const
+  {
+    const auto along = [this](int first, int size)
+    { return first + 0.5 * (size - 1) - (edge_ * (first / edge_ + 0.5 * (size / edge_)) - 0.5); };
+    return { along(region_.x, region_.width), along(region_.y, region_.height) };
+  }
+
+private:
+  cv::Size size_;
+  int type_;
+  cv::Rect region_;
+  int edge_;
+  std::optional<CoarseImage> means_;
+};
+
 struct HyperplaneTracker::State
 {
+  View view;
   RegionTemplate region_template;
-  Warp warp;  ///< where the region was last found
+  Warp warp;  ///< where the region was last found, in the view
 };
 
 HyperplaneTracker::HyperplaneTracker(const HyperplaneTrackerOptions& options, const IntensityModel& intensity)
@@ -94,14 +149,16 @@ void HyperplaneTracker::reset()
 
 cv::Rect HyperplaneTracker::region() const
 {
-  return state_ ? state_->region_template.region() : cv::Rect();
+  return state_ ? state_->view.region() : cv::Rect();
 }
 
 void HyperplaneTracker::train(const cv::Mat& image, const cv::Rect& region)
 {
   checkImage(image);
   requireRegionInside(region, image.size());
-  state_ = std::make_unique<State>(State{ RegionTemplate(image, region, options_, intensity_), Warp() });
+  View view(image, region, options_.reduction);
+  RegionTemplate learnt(view(image), view.reducedRegion(), options_, view.intensity(intensity_));
+  state_ = std::make_unique<State>(State{ std::move(view), std::move(learnt), Warp() });
   lost_ = false;
   result_ = TrackResult();
   result_.correlation = 1.0;
@@ -114,7 +171,7 @@ bool HyperplaneTracker::retrain(const cv::Mat& image)
   {
     return false;
   }
-  state_->region_template.learnAgain(image, state_->warp);
+  state_->region_template.learnAgain(state_->view(image), state_->warp);
   return true;
 }
 
@@ -127,7 +184,8 @@ const TrackResult& HyperplaneTracker::track(const cv::Mat& image)
 
 const TrackResult& HyperplaneTracker::trackFrom(const cv::Mat& image, const Eigen::Vector2d& displacement)
 {
-  search(image, { displacement, Eigen::Matrix2d::Identity() }, true);
+  const double edge = state_ ? state_->view.edge() : 1.0;
+  search(image, { displacement / edge, Eigen::Matrix2d::Identity() }, true);
   lost_ = lost_ && !result_.found();
   return result_;
 }
@@ -139,7 +197,7 @@ void HyperplaneTracker::search(const cv::Mat& image, const Warp& start, bool onl
     throw std::logic_error("HyperplaneTracker::track without a template");
   }
   RegionTemplate& t = state_->region_template;
-  requireTemplatesKind(image, t.imageSize(), t.imageType());
+  const cv::Mat& seen = state_->view(image);
   std::size_t first = 0;
   while (only_near && first + 1 < t.levels() && options_.ranges[first] > kNear)
   {
@@ -155,7 +213,7 @@ void HyperplaneTracker::search(const cv::Mat& image, const Warp& start, bool onl
   int iterations = 0;
   for (std::size_t level = first; level <= last; ++level)
   {
-    const SearchResult found = t.search(image, start, level);
+    const SearchResult found = t.search(seen, start, level);
     iterations += found.iterations;
     const TrackResult::Status status = judged(found, degraded);
     const bool success = status == TrackResult::Status::TRACKED || status == TrackResult::Status::DEGRADED;
@@ -207,9 +265,16 @@ void HyperplaneTracker::adopt(const SearchResult& found, TrackResult::Status sta
   const RegionTemplate& t = state_->region_template;
   result_ = TrackResult();
   result_.status = status;
-  result_.displacement = found.warp.translation;
+  // From the view's pixels and the middle of its region to the image's.
+  const double edge = state_->view.edge();
+  const Eigen::RowVector2d arm = state_->view.offset().transpose();
+  Eigen::Matrix<double, 6, 6> to_image = Eigen::Matrix<double, 6, 6>::Identity();
+  to_image.topLeftCorner<2, 2>() *= edge;
+  to_image.block<1, 2>(0, 2) = arm;
+  to_image.block<1, 2>(1, 4) = arm;
+  result_.displacement = edge * found.warp.translation + found.warp.linear * arm.transpose() - arm.transpose();
   result_.linear = found.warp.linear;
-  const auto derivative = warpDerivative(found.warp, t.parameters(), t.radius());
+  const auto derivative = (to_image * warpDerivative(found.warp, t.parameters(), t.radius())).eval();
   const Eigen::Matrix<double, 6, 6> covariance = derivative * found.covariance * derivative.transpose();
   result_.covariance = 0.5 * (covariance + covariance.transpose());  // rounding is not symmetric
   result_.correlation = found.correlation;

@@ -25,6 +25,8 @@ using xray_tracking_msgs::TrackedRegion;
 const ros::Duration kBackwardJump(1.0);
 /// How far in the future a stamp may be: beyond, the next good one would look like a bag that starts again.
 const ros::Duration kAhead = kBackwardJump;
+/// Share of the region outside the field from which on it is not looked for: what covers more than a quarter disturbs.
+constexpr double kMostOutside = 0.5;
 const TrackedRegion::_linear_type kIdentity = { 1.0, 0.0, 0.0, 1.0 };
 
 cv::Scalar stateColour(std::uint8_t state)
@@ -37,6 +39,20 @@ cv::Scalar stateColour(std::uint8_t state)
 bool isFound(std::uint8_t state)
 {
   return state == TrackedRegion::TRACKING || state == TrackedRegion::DEGRADED;
+}
+
+/// Why a region was not found.
+const char* lossName(TrackResult::Status status)
+{
+  switch (status)
+  {
+    case TrackResult::Status::OUT_OF_IMAGE:
+      return "the region has left the image";
+    case TrackResult::Status::DIVERGED:
+      return "the search for the region did not settle";
+    default:
+      return "nothing looks enough like the region";
+  }
 }
 
 double finiteOrZero(double value)
@@ -87,12 +103,17 @@ void HyperplaneTrackerRos::configure()
     {
       const TreatmentSetup setup = loadTreatmentSetup(parameters_.setup_file);
       intensity_ = setup.intensity;
+      const ProjectionGeometry& geometry = setup.detector(parameters_.detector);
+      const double magnification = geometry.magnification(setup.room_from_patient * setup.targetCentre());
+      if (!(magnification > 0.0))
+      {
+        throw std::invalid_argument("the target is not in front of the source of " + geometry.name());
+      }
+      parameters_.scaleTo(geometry.pixelPitch().mean() / magnification);
       const auto given = setup.regions.find(parameters_.detector);
       if (!configured_region_)
       {
-        configured_region_ = given != setup.regions.end()
-                                 ? given->second
-                                 : projectedTargetRegion(setup, setup.detector(parameters_.detector));
+        configured_region_ = given != setup.regions.end() ? given->second : projectedTargetRegion(setup, geometry);
       }
     }
     region_ = configured_region_;
@@ -122,7 +143,8 @@ void HyperplaneTrackerRos::makeTracker()
     registration_ = registration.get();
     tracker = std::move(registration);
   }
-  tracker_.emplace(std::move(tracker), intensity_);
+  tracker_.emplace(std::move(tracker), intensity_, parameters_.tracker.reduction);
+  check_.emplace(intensity_);
 }
 
 void HyperplaneTrackerRos::adoptSettings()
@@ -146,6 +168,7 @@ void HyperplaneTrackerRos::startAnew()
   if (tracker_)
   {
     tracker_->reset();
+    check_->reset();
   }
   reference_.reset();
 }
@@ -208,7 +231,8 @@ void HyperplaneTrackerRos::tell(const TrackedRegion& result, const std::string& 
   if (result.state != logged_state_)
   {
     ROS_INFO_STREAM(pnh_.getNamespace() << " is " << stateName(result.state) << " (correlation " << result.correlation
-                                        << ", quality " << result.quality << ")");
+                                        << ", quality " << result.quality << ")" << (result.fault.empty() ? "" : ": ")
+                                        << result.fault);
     logged_state_ = result.state;
   }
   const std::lock_guard<std::mutex> lock(snapshot_mutex_);
@@ -232,27 +256,15 @@ std::string HyperplaneTrackerRos::answer(const sensor_msgs::ImageConstPtr& image
     if (tracker_)
     {
       const cv_bridge::CvImageConstPtr pixels = pixelsOf(image);
-      if (request && request->region)
+      result.fault = check_->look(pixels->image, static_cast<std::int64_t>(image->header.stamp.toNSec()));
+      if (!result.fault.empty())
       {
-        outcome = serveTraining(*request->region, pixels->image, image);
+        // Neither a template nor a loss: the next one that shows something goes on from the last one that did.
+        result.state = TrackedRegion::BLIND;
       }
-      if (!tracker_->trained() && region_)
+      else
       {
-        fault = train(pixels->image, *region_, image);
-      }
-      if (tracker_->trained())
-      {
-        track(pixels->image, result);
-        if (image == reference_)
-        {
-          // There it is by definition; what the tracker says is the image's noise.
-          result.displacement_x = result.displacement_y = 0.0;
-          result.linear = kIdentity;
-        }
-      }
-      if (request && !request->region)
-      {
-        outcome = serveRetraining(pixels->image, result);
+        fault = answerUsable(pixels->image, image, request.get(), result, outcome);
       }
     }
   }
@@ -260,19 +272,53 @@ std::string HyperplaneTrackerRos::answer(const sensor_msgs::ImageConstPtr& image
   {
     fault = error.what();
   }
+  if (!fault.empty())
+  {
+    result.fault = fault;
+  }
   if (request)
   {
-    request->response.set_value(outcome ? *outcome
-                                        : TrainingMailbox::makeResponse(TrainRegion::Response::INVALID_REGION, fault));
+    request->response.set_value(
+        outcome ? *outcome : TrainingMailbox::makeResponse(TrainRegion::Response::INVALID_REGION, result.fault));
   }
   if (tracker_ && tracker_->trained())
   {
     result.region = regionMsgFromRect(tracker_->region());
     result.reference_stamp = reference_->header.stamp;
-    if (!isFound(result.state))
+    if (!isFound(result.state) && result.state != TrackedRegion::BLIND)
     {
       result.state = TrackedRegion::LOST;
     }
+  }
+  return fault;
+}
+
+std::string HyperplaneTrackerRos::answerUsable(const cv::Mat& pixels, const sensor_msgs::ImageConstPtr& image,
+                                               const TrainingRequest* request, TrackedRegion& result,
+                                               std::optional<TrainRegion::Response>& outcome)
+{
+  std::string fault;
+  if (request && request->region)
+  {
+    outcome = serveTraining(*request->region, pixels, image);
+  }
+  if (!tracker_->trained() && region_)
+  {
+    fault = train(pixels, *region_, image);
+  }
+  if (tracker_->trained())
+  {
+    track(pixels, result);
+    if (image == reference_)
+    {
+      // There it is by definition; what the tracker says is the image's noise.
+      result.displacement_x = result.displacement_y = 0.0;
+      result.linear = kIdentity;
+    }
+  }
+  if (request && !request->region)
+  {
+    outcome = serveRetraining(check_->repaired(pixels), result);
   }
   return fault;
 }
@@ -324,7 +370,13 @@ std::string HyperplaneTrackerRos::train(const cv::Mat& pixels, const cv::Rect& r
   std::string fault;
   try
   {
-    tracker_->train(pixels, region);
+    const cv::Rect inside = check_->learn(pixels, region);
+    if (inside != region)
+    {
+      ROS_WARN_STREAM(pnh_.getNamespace() << " tracks " << inside.width << " x " << inside.height << " at (" << inside.x
+                                          << ", " << inside.y << "), the part of its region inside the X-ray field");
+    }
+    tracker_->train(check_->repaired(pixels), inside);
     reference_ = image;
   }
   catch (const std::invalid_argument& error)
@@ -337,7 +389,24 @@ std::string HyperplaneTrackerRos::train(const cv::Mat& pixels, const cv::Rect& r
 
 void HyperplaneTrackerRos::track(const cv::Mat& pixels, TrackedRegion& result)
 {
-  const TrackResult& track = tracker_->track(pixels);
+  const double outside = check_->outside(tracker_->lastPlace());
+  if (outside > kMostOutside)
+  {
+    result.state = TrackedRegion::BLIND;
+    result.fault = "of the region " + std::to_string(std::lround(100.0 * outside)) +
+                   " % are outside the field (collimator blades, the image's rim)";
+    return;
+  }
+  TrackResult track = tracker_->track(check_->repaired(pixels));
+  if (!track.found() && isFound(logged_state_) && check_->learnStuck(pixels))
+  {
+    track = tracker_->track(check_->repaired(pixels));
+  }
+  if (parameters_.model_by_data && !tellsRotation(track))
+  {
+    track = withoutLinearPart(track);
+    result.model = TrackedRegion::TRANSLATION;
+  }
   result.correlation = finiteOrZero(track.correlation);
   result.quality = finiteOrZero(track.quality);
   result.iterations = static_cast<std::uint32_t>(track.iterations);
@@ -350,7 +419,9 @@ void HyperplaneTrackerRos::track(const cv::Mat& pixels, TrackedRegion& result)
     Eigen::Map<Eigen::Matrix<double, 2, 2, Eigen::RowMajor>>(result.linear.data()) = track.linear;
     Eigen::Map<Eigen::Matrix<double, 6, 6, Eigen::RowMajor>>(result.covariance.data()) =
         0.5 * (track.covariance + track.covariance.transpose());  // rounding is not symmetric
+    return;
   }
+  result.fault = lossName(track.status);
 }
 
 void HyperplaneTrackerRos::publishOverlay(const sensor_msgs::ImageConstPtr& image, const TrackedRegion& result)

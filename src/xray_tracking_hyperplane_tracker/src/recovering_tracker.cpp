@@ -1,6 +1,7 @@
 #include "xray_tracking_hyperplane_tracker/recovering_tracker.h"
 
 #include <algorithm>
+#include <cstring>
 #include <iterator>
 #include <vector>
 
@@ -8,7 +9,7 @@ namespace xray_tracking
 {
 namespace
 {
-/// Weight of the latest image in the running mean.
+/// By so much what an image has left unexplained is forgotten in the next one.
 constexpr double kForgetting = 0.1;
 /// What is found again leaves at most so many times as much unexplained as the region usually did before the loss, and
 /// is not asked to leave less than a twentieth.
@@ -24,8 +25,9 @@ double unexplained(const TrackResult& result)
 void RecoveringTracker::train(const cv::Mat& image, const cv::Rect& region)
 {
   tracker_->train(image, region);
-  search_.emplace(image, region, intensity_);
+  search_.emplace(image, region, intensity_, reduction_);
   last_good_.setZero();
+  template_pixels_ = image(region).clone();
   usual_unexplained_.reset();
   lost_ = false;
 }
@@ -51,13 +53,28 @@ const TrackResult& RecoveringTracker::track(const cv::Mat& image)
   {
     last_good_ = result_.displacement;
   }
-  if (!lost_ && result_.status == TrackResult::Status::TRACKED)
+  if (!lost_ && result_.status == TrackResult::Status::TRACKED && !isTemplates(image))
   {
     const double latest = unexplained(result_);
-    usual_unexplained_ =
-        usual_unexplained_ ? *usual_unexplained_ + kForgetting * (latest - *usual_unexplained_) : latest;
+    usual_unexplained_ = usual_unexplained_
+                             ? std::max(latest, *usual_unexplained_ + kForgetting * (latest - *usual_unexplained_))
+                             : latest;
   }
   return result_;
+}
+
+bool RecoveringTracker::isTemplates(const cv::Mat& image) const
+{
+  const cv::Mat pixels = image(tracker_->region());
+  const std::size_t length = static_cast<std::size_t>(pixels.cols) * pixels.elemSize();
+  for (int row = 0; row < pixels.rows; ++row)
+  {
+    if (std::memcmp(pixels.ptr(row), template_pixels_.ptr(row), length) != 0)
+    {
+      return false;
+    }
+  }
+  return true;
 }
 
 bool RecoveringTracker::asBefore(const TrackResult& found) const
@@ -80,7 +97,7 @@ void RecoveringTracker::recover(const cv::Mat& image)
   };
   std::vector<TrackResult> refined;
   std::transform(starts.begin(), starts.end(), std::back_inserter(refined), refine);
-  const std::optional<std::size_t> proven = provenCandidate(refined);
+  const std::optional<std::size_t> proven = provenCandidate(refined, reduction_);
   if (proven && asBefore(refined[*proven]))
   {
     // The next search is to start from there, not from the last of the others.

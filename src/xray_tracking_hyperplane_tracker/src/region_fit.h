@@ -76,7 +76,8 @@ private:
     Eigen::Index count = 0;   ///< without
   };
 
-  void layTiles(const cv::Rect& region);
+  /// @param noise_reach mean distance of pixels whose noise is alike [px]
+  void layTiles(const cv::Rect& region, double noise_reach);
   /// @param slopes J without the patterns of N
   void store(const Eigen::MatrixXf& slopes, const std::array<Eigen::MatrixXf, 2>& instruments,
              const Eigen::MatrixXf& nuisance, const Eigen::VectorXf& template_noise);

@@ -17,10 +17,39 @@ constexpr int kLane = 8;          ///< floats in a vector
 constexpr double kTiles = 100.0;  ///< about; enough for their scatter to be an estimate
 /// Error of the motion [px] whose residual does not make an outlier.
 constexpr float kMotionError = 0.15f;
-/// A residual's variance in units of the noise's is hardly less: the spline's kernel leaves 0.21 between four pixels.
-constexpr double kLeastNoise = 0.2;
-/// Mean distance along an axis of the pixels whose noise the spline's kernel makes alike [px].
-constexpr double kNoiseReach = 0.57;
+/// A residual's variance is hardly less: what the spline's kernel leaves of the noise between four pixels, 0.21 of
+/// white noise.
+double leastNoise(const NoiseSpectrum& noise)
+{
+  float weights[4];
+  splineWeights(0.5f, weights);
+  const auto gain = [&weights](double f)
+  { return 2.0 * (weights[0] * std::cos(3.0 * M_PI * f) + weights[1] * std::cos(M_PI * f)); };
+  return noise.variance([&gain](double u, double v) { return gain(u) * gain(v); });
+}
+
+/// Mean distance along an axis of pixels whose noise is alike, by itself and the spline's kernel [px]; 0.56 for white
+/// noise.
+double noiseReach(const NoiseSpectrum& noise)
+{
+  constexpr int kLags = 24;
+  constexpr int kSteps = 128;
+  double sum = 0.0, moment = 0.0;
+  for (int lag = 0; lag < kLags; ++lag)
+  {
+    double covariance = 0.0;
+    for (int i = 0; i < kSteps; ++i)
+    {
+      const double f = 0.5 * (i + 0.5) / kSteps;
+      const double gain = (2.0 + std::cos(2.0 * M_PI * f)) / 3.0;
+      covariance += noise.power(f) * gain * gain * std::cos(2.0 * M_PI * f * lag);
+    }
+    sum += (lag > 0 ? 2.0 : 1.0) * covariance;
+    moment += 2.0 * lag * std::abs(covariance);
+  }
+  return moment / sum;
+}
+
 /// Of an image by x and y.
 class Gradients
 {
@@ -54,14 +83,14 @@ cv::Mat asSampled(const cv::Mat& values, const IntensityModel& intensity)
 }
 }  // namespace
 
-void RegionFit::layTiles(const cv::Rect& region)
+void RegionFit::layTiles(const cv::Rect& region, double noise_reach)
 {
   const double side = std::max(4.0, std::sqrt(grid_.area() / kTiles));
   const int columns = std::max(1, static_cast<int>(std::lround(grid_.width / side)));
   const int rows = std::max(1, static_cast<int>(std::lround(grid_.height / side)));
   tile_columns_ = columns;
   // Of pairs across the border of two tiles, every second one.
-  noise_seen_ = (1.0 - 0.5 * kNoiseReach * columns / region.width) * (1.0 - 0.5 * kNoiseReach * rows / region.height);
+  noise_seen_ = (1.0 - 0.5 * noise_reach * columns / region.width) * (1.0 - 0.5 * noise_reach * rows / region.height);
   std::vector<Eigen::Vector2f> places;
   for (int r = 0; r < rows; ++r)
   {
@@ -99,9 +128,9 @@ RegionFit::RegionFit(const cv::Mat& image, const IntensityModel& intensity, cons
     unknowns_(parameters + kShadings),
     step_(static_cast<int>(std::ceil(std::sqrt(region.area() / kMaxFitPixels)))),
     grid_(region.width / step_, region.height / step_),
-    floor_(kLeastNoise * model.noise * model.noise)
+    floor_(leastNoise(model.noise))
 {
-  layTiles(region);
+  layTiles(region, noiseReach(model.noise));
   const Eigen::Index n = points_.rows();
   values_.resize(n);
   sampled_.resize(n);

@@ -52,9 +52,10 @@ double unexplained(const TrackResult& result)
 }
 }  // namespace
 
-RegionSearch::RegionSearch(const cv::Mat& image, const cv::Rect& region, const IntensityModel& intensity)
+RegionSearch::RegionSearch(const cv::Mat& image, const cv::Rect& region, const IntensityModel& intensity, int reduction)
   : intensity_(intensity),
-    bin_(std::clamp(std::min(region.width, region.height) / kSmallestPatch, 1, kLargestBin)),
+    bin_(std::clamp(std::min(region.width, region.height) / kSmallestPatch, 1, kLargestBin * reduction)),
+    shading_(kShadingSigma * reduction / bin_),
     region_(region.x / bin_, region.y / bin_, region.width / bin_, region.height / bin_)
 {
   checkImage(image);
@@ -69,7 +70,7 @@ cv::Mat RegionSearch::coarse(const cv::Mat& image) const
   cv::Mat small, slow;
   cv::resize(image, small, { image.cols / bin_, image.rows / bin_ }, 0.0, 0.0, cv::INTER_AREA);
   cv::Mat values = attenuationImage(small, intensity_);
-  cv::GaussianBlur(values, slow, cv::Size(), kShadingSigma / bin_, 0.0, cv::BORDER_REPLICATE);
+  cv::GaussianBlur(values, slow, cv::Size(), shading_, 0.0, cv::BORDER_REPLICATE);
   return values - slow;
 }
 
@@ -107,7 +108,7 @@ std::vector<RegionCandidate> RegionSearch::find(const cv::Mat& image) const
   return candidates;
 }
 
-std::optional<std::size_t> provenCandidate(const std::vector<TrackResult>& refined)
+std::optional<std::size_t> provenCandidate(const std::vector<TrackResult>& refined, int reduction)
 {
   std::optional<std::size_t> best;
   for (std::size_t i = 0; i < refined.size(); ++i)
@@ -123,7 +124,7 @@ std::optional<std::size_t> provenCandidate(const std::vector<TrackResult>& refin
   }
   for (const TrackResult& other : refined)
   {
-    const bool elsewhere = (other.displacement - refined[*best].displacement).norm() > kSamePlace;
+    const bool elsewhere = (other.displacement - refined[*best].displacement).norm() > kSamePlace * reduction;
     if (elsewhere && unexplained(refined[*best]) > kClearlyLess * unexplained(other))
     {
       return std::nullopt;

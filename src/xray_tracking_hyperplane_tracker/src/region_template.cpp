@@ -46,7 +46,6 @@ RegionTemplate::RegionTemplate(const cv::Mat& image, const cv::Rect& region, con
   : options_(options),
     intensity_(intensity),
     size_(image.size()),
-    type_(image.type()),
     region_(region),
     centre_(region.x + 0.5 * (region.width - 1), region.y + 0.5 * (region.height - 1)),
     radius_(std::sqrt((region.width * region.width + region.height * region.height) / 12.0)),
@@ -65,12 +64,13 @@ RegionTemplate::RegionTemplate(const cv::Mat& image, const cv::Rect& region, con
   {
     std::ostringstream message;
     message << "region: " << describe(region) << " has too little contrast: grey values change by " << contrast.gradient
-            << " a pixel in their weakest direction, the noise is " << contrast.noise
+            << " a pixel in their weakest direction, the noise is " << std::sqrt(contrast.noise.variance())
             << ", which would move the estimate by " << contrast.predicted_sd << " px, expected at most "
             << options.max_predicted_sd << " (max_predicted_sd)";
     throw std::invalid_argument(message.str());
   }
   model_.noise = contrast.noise;
+  bin_noise_ = contrast.noise.varianceOfMeans(coarse_.bin());
   for (const double range : options.ranges)
   {
     levels_.emplace_back().range = static_cast<float>(range);
@@ -151,7 +151,7 @@ void RegionTemplate::learnLevels(const cv::Mat& image, const Warp& warp, Uniform
   nuisance.removeFrom(changes);
   model_.background = options_.background * changes.squaredNorm() / static_cast<double>(changes.size());
   Eigen::MatrixXf covariance = static_cast<float>(model_.background) * backgroundCovariance(points_, nuisance);
-  covariance.diagonal().array() += static_cast<float>(2.0 * model_.noise * model_.noise / coarse_.area());
+  covariance.diagonal().array() += static_cast<float>(2.0 * bin_noise_);
   for (std::size_t i = 0; i < count; ++i)
   {
     Level& level = levels_[i];
@@ -331,7 +331,7 @@ void RegionTemplate::judgePoints(SearchResult& result)
   coefficients_.noalias() = texture_.nuisance.transpose() * differences_;
   differences_.noalias() -= texture_.nuisance * coefficients_;
   const float count = static_cast<float>(points_.rows());
-  const float floor = static_cast<float>(model_.noise * model_.noise / coarse_.area());
+  const float floor = static_cast<float>(bin_noise_);
   // An image without content must not correlate by its rounding errors.
   const float residual = std::max(differences_.squaredNorm(), 0.01f * count * floor);
   const float found = coefficients_[coefficients_.size() - 1] + texture_.contrast;

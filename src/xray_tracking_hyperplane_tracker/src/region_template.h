@@ -62,9 +62,6 @@ public:
   /// What a search has found is the region: the next ones go on from its evidence.
   void believe(const SearchResult& found) { evidence_ = found.evidence; }
 
-  const cv::Size& imageSize() const { return size_; }
-  int imageType() const { return type_; }
-  const cv::Rect& region() const { return region_; }
   double radius() const { return radius_; }
   int parameters() const { return parameters_; }
   std::size_t levels() const { return levels_.size(); }
@@ -106,7 +103,6 @@ private:
   HyperplaneTrackerOptions options_;
   IntensityModel intensity_;
   cv::Size size_;
-  int type_;
   cv::Rect region_;
   Eigen::Vector2d centre_;
   double radius_;  ///< root mean square distance of the region's pixels from its centre [px]
@@ -115,6 +111,7 @@ private:
   Points points_;
   Box box_;
   DifferenceModel model_;
+  double bin_noise_ = 0.0;  ///< variance of the noise in the bins
   std::vector<Level> levels_;
   Texture texture_;               ///< of the finest level
   std::optional<RegionFit> fit_;  ///< the last steps

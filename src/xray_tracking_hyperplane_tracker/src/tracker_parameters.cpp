@@ -1,5 +1,7 @@
 #include "xray_tracking_hyperplane_tracker/tracker_parameters.h"
 
+#include <algorithm>
+#include <cmath>
 #include <map>
 #include <string>
 
@@ -35,7 +37,8 @@ Value named(const std::string& key, const std::string& name, const std::map<std:
   return found->second;
 }
 
-const std::map<std::string, MotionModel> kModels = { { "translation", MotionModel::TRANSLATION },
+const std::map<std::string, MotionModel> kModels = { { "auto", MotionModel::EUCLIDEAN },
+                                                     { "translation", MotionModel::TRANSLATION },
                                                      { "euclidean", MotionModel::EUCLIDEAN },
                                                      { "similarity", MotionModel::SIMILARITY },
                                                      { "affine", MotionModel::AFFINE } };
@@ -45,8 +48,37 @@ const std::map<std::string, TrackingMethod> kMethods = { { "hyperplane", Trackin
                                                            TrackingMethod::GRADIENT_CORRELATION } };
 }  // namespace
 
+void TrackerParameters::scaleTo(double pixel)
+{
+  tracker.reduction = static_cast<int>(std::clamp(std::round(resolution / pixel), 1.0, 64.0));
+  const double unit = tracker.reduction * pixel;
+  tracker.ranges = ranges;
+  for (double& range : tracker.ranges)
+  {
+    range /= unit;
+  }
+  tracker.convergence = convergence / unit;
+  tracker.max_predicted_sd = max_predicted_sd / unit;
+  registration.range = std::clamp(registration_range / pixel, 1.0, 200.0);
+}
+
 void TrackerParameters::validate() const
 {
+  const auto require_length = [](const char* key, double value, double largest)
+  {
+    requireOption(value > 0.0 && value <= largest, key, value,
+                  "a length > 0, up to " + std::to_string(largest) + " [mm at the target]");
+  };
+  require_length("resolution", resolution, 10.0);
+  requireOption(!ranges.empty(), "ranges", "empty", "one number or more");
+  for (std::size_t i = 0; i < ranges.size(); ++i)
+  {
+    requireOption(ranges[i] > 0.0 && ranges[i] <= 250.0 && (i == 0 || ranges[i] < ranges[i - 1]), "ranges", ranges[i],
+                  "numbers > 0 that fall, up to 250 [mm at the target]");
+  }
+  require_length("convergence", convergence, 10.0);
+  require_length("max_predicted_sd", max_predicted_sd, 100.0);
+  require_length("registration_range", registration_range, 50.0);
   tracker.validate();
   try
   {
@@ -69,24 +101,25 @@ TrackerParameters readTrackerParameters(const ros::NodeHandle& pnh, const std::s
   HyperplaneTrackerOptions& tracker = parameters.tracker;
   TemplateRegistrationOptions& registration = parameters.registration;
   const std::string method = reader.read("method", std::string("hyperplane"));
-  const std::string model = reader.read("model", std::string("translation"));
+  const std::string model = reader.read("model", std::string("auto"));
   tracker.points = reader.read("points", tracker.points);
   tracker.bin = reader.read("bin", tracker.bin);
-  tracker.ranges = reader.read("ranges", tracker.ranges);
+  parameters.resolution = reader.read("resolution", parameters.resolution);
+  parameters.ranges = reader.read("ranges", parameters.ranges);
   tracker.rotation_range = reader.read("rotation_range", tracker.rotation_range);
   tracker.scale_range = reader.read("scale_range", tracker.scale_range);
   tracker.training_motions = reader.read("training_motions", tracker.training_motions);
   tracker.background = reader.read("background", tracker.background);
   tracker.whole_region = reader.read("whole_region", tracker.whole_region);
   tracker.max_iterations = reader.read("max_iterations", tracker.max_iterations);
-  tracker.convergence = reader.read("convergence", tracker.convergence);
+  parameters.convergence = reader.read("convergence", parameters.convergence);
   tracker.min_correlation = reader.read("min_correlation", tracker.min_correlation);
   tracker.found_correlation = reader.read("found_correlation", tracker.found_correlation);
   tracker.min_quality = reader.read("min_quality", tracker.min_quality);
   tracker.good_quality = reader.read("good_quality", tracker.good_quality);
-  tracker.max_predicted_sd = reader.read("max_predicted_sd", tracker.max_predicted_sd);
+  parameters.max_predicted_sd = reader.read("max_predicted_sd", parameters.max_predicted_sd);
   registration.bins = reader.read("registration_bins", registration.bins);
-  registration.range = reader.read("registration_range", registration.range);
+  parameters.registration_range = reader.read("registration_range", parameters.registration_range);
   registration.min_correlation = reader.read("registration_min_correlation", registration.min_correlation);
   registration.found_correlation = reader.read("registration_found_correlation", registration.found_correlation);
   const int seed = reader.read("seed", static_cast<int>(tracker.seed));
@@ -105,10 +138,11 @@ TrackerParameters readTrackerParameters(const ros::NodeHandle& pnh, const std::s
 
   parameters.method = named("method", method, kMethods);
   tracker.model = named("model", model, kModels);
+  parameters.model_by_data = model == "auto";
   if (parameters.method != TrackingMethod::HYPERPLANE)
   {
     requireOption(tracker.model == MotionModel::TRANSLATION || tracker.model == MotionModel::EUCLIDEAN, "model", model,
-                  "translation or euclidean where the method is " + method);
+                  "auto, translation or euclidean where the method is " + method);
     registration.model = tracker.model;
   }
   registration.similarity = parameters.method == TrackingMethod::GRADIENT_CORRELATION
@@ -116,6 +150,7 @@ TrackerParameters readTrackerParameters(const ros::NodeHandle& pnh, const std::s
                                 : TemplateRegistrationOptions::Similarity::NORMALISED_MUTUAL_INFORMATION;
   requireOption(seed >= 0, "seed", seed, "0 or more");
   tracker.seed = static_cast<std::uint32_t>(seed);
+  parameters.scaleTo(parameters.resolution);
   parameters.validate();
   return parameters;
 }

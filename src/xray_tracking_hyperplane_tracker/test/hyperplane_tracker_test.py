@@ -8,7 +8,8 @@ import numpy
 import rospy
 import rostest
 from sensor_msgs.msg import Image, RegionOfInterest
-from tracker_test_case import HEIGHT, PATIENCE, REGION, TOLERANCE, WIDTH, TrackerTestCase, equals, exposure
+from tracker_test_case import (HEIGHT, PATIENCE, REGION, TOLERANCE, WIDTH, TrackerTestCase, black, equals, exposure,
+                               turned)
 from xray_tracking_msgs.msg import TrackedRegion
 from xray_tracking_msgs.srv import TrainRegion, TrainRegionResponse
 
@@ -49,19 +50,49 @@ class HyperplaneTrackerTest(TrackerTestCase):
     def test_is_lost_without_target_and_finds_it_again(self):
         detector = self.connect("parameter_region")
         reference = self.restart(detector)
-        black = exposure()
-        black.data = bytes(len(black.data))
         for _ in range(3):
             stamp = self.stamp()
-            detector.send(stamp, black)
+            detector.send(stamp, turned())
             answer = detector.answer()
             self.assertEqual(answer.state, TrackedRegion.LOST)
+            self.assertIn("the region", answer.fault)
             self.assertTrue(equals(answer.region, REGION))
             self.assertEqual((answer.displacement_x, answer.displacement_y), (0.0, 0.0))
             self.assertTrue(math.isfinite(answer.correlation))
         stamp = self.stamp()
         detector.send(stamp, exposure(4.0, 3.0))
         self.judge(detector.answer(), stamp, reference, (4.0, 3.0))
+
+    def test_is_blind_where_there_is_nothing_new_to_be_seen(self):
+        detector = self.connect("parameter_region")
+        # No template comes from exposures that show nothing; the first one that shows something is the first.
+        TrackerTestCase.next_stamp -= 500.0
+        for k in range(3):
+            detector.send(self.stamp(), black(k))
+            answer = detector.answer()
+            self.assertEqual(answer.state, TrackedRegion.BLIND)
+            self.assertIn("shows nothing", answer.fault)
+            self.assertTrue(answer.reference_stamp.is_zero())
+        reference = self.stamp()
+        detector.send(reference, exposure())
+        self.judge(detector.answer(), reference, reference, (0.0, 0.0))
+        stamp = self.stamp()
+        seen = exposure(2.0, 1.0, seed=1)
+        detector.send(stamp, seen)
+        self.judge(detector.answer(), stamp, reference, (2.0, 1.0))
+        # A panel that has stopped, and one that is off.
+        for image, words in ((seen, "bit for bit"), (seen, "%.3f" % stamp), (black(4), "shows nothing")):
+            detector.send(self.stamp(), image, repeat=True)
+            answer = detector.answer()
+            self.assertEqual(answer.state, TrackedRegion.BLIND)
+            self.assertIn(words, answer.fault)
+            self.assertEqual((answer.displacement_x, answer.displacement_y), (0.0, 0.0))
+            self.assertEqual(answer.reference_stamp, rospy.Time.from_sec(reference))
+        stamp = self.stamp()
+        detector.send(stamp, exposure(3.0, 0.5, seed=2))
+        answer = detector.answer()
+        self.judge(answer, stamp, reference, (3.0, 0.5))
+        self.assertEqual(answer.fault, "")
 
     def test_drops_exposures_that_are_not_newer(self):
         detector = self.connect("parameter_region")
@@ -132,7 +163,9 @@ class HyperplaneTrackerTest(TrackerTestCase):
 
         def flat():
             image = exposure()
-            image.data = numpy.full(WIDTH * HEIGHT, 5000, "<u2").tobytes()
+            counts = numpy.frombuffer(image.data, "<u2").reshape(HEIGHT, WIDTH).copy()
+            counts[40:160, 55:185] = 20000
+            image.data = counts.tobytes()
             return image
         response, answers = self.call_among_exposures(detector, flat, train, REGION)
         self.assertEqual(response.status, TrainRegionResponse.INVALID_REGION)
@@ -159,6 +192,7 @@ class HyperplaneTrackerTest(TrackerTestCase):
     def test_faulty_settings_leave_exposures_untrained(self):
         for name, parts in (("outside_region", ["100 x 90 at (200, 55)", "240 x 200"]),
                             ("bad_parameter", ["points", "many"]),
+                            ("bad_resolution", ["resolution is 0", "mm at the target"]),
                             ("missing_setup", ["/nowhere/setup.yaml"])):
             detector = self.connect(name)
             for _ in range(3):

@@ -167,7 +167,10 @@ TEST(Trackers, takeLittleOfOneCoreAndCopyNothing)
     {
       // Nobody may still look at the picture, whose stamp changes.
       ASSERT_TRUE(wait_until([&] { return tracked >= kTrackers * (k - kPictures + 1); }));
-      send(pictures[static_cast<std::size_t>(k % kPictures)]);
+      const sensor_msgs::ImagePtr& next = pictures[static_cast<std::size_t>(k % kPictures)];
+      // The last byte of a pixel: the same picture again would be that of a panel that has stopped.
+      next->data[0] = static_cast<std::uint8_t>(k);
+      send(next);
       rate.sleep();
     }
     ASSERT_TRUE(wait_until([&] { return tracked == kTrackers * (1 + (part + 1) * kExposures); })) << tracked;

@@ -85,6 +85,23 @@ TEST(RecoveringTracker, followsNoNeighbourWhileTheRegionIsOutside)
   }
 }
 
+// What the template's own exposure leaves unexplained, nothing, says nothing of what others will.
+TEST(RecoveringTracker, isFoundAgainThoughOnlyTheTemplatesExposureWasTracked)
+{
+  const SpineField spine(1.0);
+  const cv::Mat reference = spine.expose({ 0.0, 0.0 }, kNoise, 0);
+  auto tracker = makeTracker<HyperplaneTracker, HyperplaneTrackerOptions>();
+  tracker.train(reference, kRegion);
+  for (int i = 0; i < 5; ++i)
+  {
+    expectAt(tracker, reference, { 0.0, 0.0 });
+  }
+  EXPECT_FALSE(tracker.track(kNothing).found());
+  // Looks that have changed: four times the noise, which leaves more than a twentieth unexplained.
+  expectAt(tracker, spine.expose({ 1.0, 2.0 }, 4.0 * kNoise, 1), { 1.0, 2.0 });
+  EXPECT_LT(tracker.result().correlation, std::sqrt(1.0 - 0.05));
+}
+
 TEST(RecoveringTracker, isLostUntilItIsFoundByItsOwnThreshold)
 {
   // The region in noise that lets it be followed, but not found again.

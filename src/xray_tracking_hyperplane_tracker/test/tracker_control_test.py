@@ -1,12 +1,11 @@
 #!/usr/bin/python3
 """What a person does to a tracker, and what it does in trouble: services, live settings, methods, loss, overload."""
 
-import numpy
 import rospy
 import rostest
 from dynamic_reconfigure.client import Client
 from std_srvs.srv import Trigger
-from tracker_test_case import PATIENCE, REGION, TOLERANCE, TrackerTestCase, exposure
+from tracker_test_case import PATIENCE, REGION, TOLERANCE, TrackerTestCase, exposure, turned
 from xray_tracking_msgs.msg import TrackedRegion
 from xray_tracking_msgs.srv import TrainRegion, TrainRegionResponse
 
@@ -69,16 +68,12 @@ class TrackerControlTest(TrackerTestCase):
     def test_finds_the_region_again_anywhere_but_nothing_else(self):
         detector = self.connect("parameter_region")
         reference = self.restart(detector)
-        black = exposure()
-        black.data = bytes(len(black.data))
-        turned = exposure()
-        turned.data = numpy.frombuffer(turned.data, "<u2")[::-1].tobytes()
-        for image in [black] * 3 + [turned] * 5:
-            _, answer = self.show(detector, image)
+        for _ in range(8):
+            _, answer = self.show(detector, turned())
             self.assertEqual(answer.state, TrackedRegion.LOST)
         # Far from where it was last, by more than what is looked at there; up to a fifth of it is outside the image.
         for truth in ((-60.0, 45.0), (58.0, -40.0)):
-            _, answer = self.show(detector, black)
+            _, answer = self.show(detector, turned())
             self.assertEqual(answer.state, TrackedRegion.LOST)
             for k in range(5):
                 stamp, answer = self.show(detector, exposure(*truth, seed=k))
@@ -146,11 +141,7 @@ class TrackerControlTest(TrackerTestCase):
             stamp, answer = self.show(detector, exposure(*truth, seed=k))
             self.judge(answer, stamp, reference, truth)
 
-        def black():
-            image = exposure()
-            image.data = bytes(len(image.data))
-            return image
-        outcome, _ = self.call_among_exposures(detector, black, retrain)
+        outcome, _ = self.call_among_exposures(detector, turned, retrain)
         self.assertFalse(outcome.success)
         self.assertIn("lost", outcome.message)
 

@@ -42,12 +42,29 @@ def exposure(dx=0.0, dy=0.0, encoding="mono16", width=WIDTH, height=HEIGHT, seed
     return image
 
 
+def black(seed):
+    """X-rays are off: the detector's own noise."""
+    image = exposure()
+    counts = numpy.random.RandomState(seed).normal(20.0, 3.0, (HEIGHT, WIDTH))
+    image.data = counts.clip(0.0).round().astype("<u2").tobytes()
+    return image
+
+
+def turned():
+    """An exposure without the region: upside down."""
+    image = exposure()
+    image.data = numpy.frombuffer(image.data, "<u2")[::-1].tobytes()
+    return image
+
+
 def equals(a, b):
     return (a.x_offset, a.y_offset, a.width, a.height) == (b.x_offset, b.y_offset, b.width, b.height)
 
 
 class Detector:
     """Sends exposures to one tracker and collects its answers; ready once both ends are connected."""
+
+    sent = 0
 
     def __init__(self, name):
         self.name = name
@@ -60,8 +77,15 @@ class Detector:
                 raise RuntimeError("no tracker in " + name)
             rospy.sleep(0.01)
 
-    def send(self, stamp, image):
+    def send(self, stamp, image, repeat=False):
+        """@param repeat: as it is; else with the last bits of its first pixels changed, as a detector's noise would"""
         image.header.stamp = rospy.Time.from_sec(stamp)
+        if not repeat:
+            Detector.sent += 1
+            pixels = bytearray(image.data)
+            for bit in range(12):
+                pixels[4 * bit] = (pixels[4 * bit] & 0xFE) | (Detector.sent >> bit & 1)
+            image.data = bytes(pixels)
         self.publisher.publish(image)
 
     def answer(self):

@@ -14,11 +14,11 @@ namespace xray_tracking
 {
 void ConsistencyOptions::validate() const
 {
-  requireOption(floor_sigma > 0.0 && std::isfinite(floor_sigma), "floor_sigma", floor_sigma, "a number > 0 px");
+  requireOption(floor_sigma > 0.0 && std::isfinite(floor_sigma), "floor_sigma", floor_sigma, "a number > 0 mm");
   requireOption(window >= 1, "window", window, "1 or more exposures");
   requireOption(significance > 0.0 && significance < 1.0, "significance", significance, "a probability in (0, 1)");
   requireOption(persistent_sigma >= 0.0 && std::isfinite(persistent_sigma), "persistent_sigma", persistent_sigma,
-                "a number >= 0 px");
+                "a number >= 0 mm");
 }
 
 ConsistencyMonitor::ConsistencyMonitor(const ConsistencyOptions& options) : options_(options)
@@ -61,7 +61,7 @@ ConsistencyReport ConsistencyMonitor::add(const MotionEstimate& estimate)
   for (std::size_t i = 0; i < mean.size(); ++i)
   {
     mean[i].residual.setZero();
-    mean[i].covariance = unknown_variance * Eigen::Matrix2d::Identity();
+    mean[i].covariance = unknown_variance / std::pow(mean[i].pixel, 2) * Eigen::Matrix2d::Identity();
     for (const Residuals& residuals : window_)
     {
       mean[i].residual += share * residuals[i].residual;

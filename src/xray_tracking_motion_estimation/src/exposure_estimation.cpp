@@ -36,6 +36,11 @@ std::optional<MotionEstimate> MotionEstimationRos::estimate(PatientMotion& motio
   for (std::size_t i = 0; i < views_.size(); ++i)
   {
     views_[i].doubt = doubtOfState(views_[i], assembler_->exposure()[i].get());
+    const TrackedRegion* region = assembler_->exposure()[i].get();
+    if (history_.empty() && !first_unseen_ && region && region->state == TrackedRegion::BLIND)
+    {
+      first_unseen_ = region->header.stamp;
+    }
   }
   if (!enoughViews(motion))
   {
@@ -83,6 +88,7 @@ MotionEstimationRos::Doubt MotionEstimationRos::doubtOfState(const View& view, c
   {
     return { PatientMotion::LOST, view.name + " is silent" };
   }
+  const std::string why = region->fault.empty() ? std::string() : ": " + region->fault;
   switch (region->state)
   {
     case TrackedRegion::TRACKING:
@@ -91,11 +97,13 @@ MotionEstimationRos::Doubt MotionEstimationRos::doubtOfState(const View& view, c
                  ? Doubt()
                  : Doubt{ PatientMotion::LOST, view.name + " has the unknown model " + std::to_string(region->model) };
     case TrackedRegion::UNTRAINED:
-      return { PatientMotion::WAITING, view.name + " is untrained" };
+      return { PatientMotion::WAITING, view.name + " is untrained" + why };
     case TrackedRegion::TRAINING:
       return { PatientMotion::WAITING, view.name + " is training" };
     case TrackedRegion::LOST:
-      return { PatientMotion::LOST, view.name + " has lost its region" };
+      return { PatientMotion::LOST, view.name + " has lost its region" + why };
+    case TrackedRegion::BLIND:
+      return { PatientMotion::LOST, view.name + " is blind" + why };
     default:
       return { PatientMotion::LOST, view.name + " has the unknown state " + std::to_string(region->state) };
   }
@@ -194,7 +202,7 @@ void MotionEstimationRos::findReferences()
   const auto& exposure = assembler_->exposure();
   const bool first = history_.empty();
   const View* first_view = nullptr;
-  ros::Time first_stamp;
+  ros::Time first_stamp, last_stamp;
   for (std::size_t i = 0; i < views_.size(); ++i)
   {
     View& view = views_[i];
@@ -212,6 +220,7 @@ void MotionEstimationRos::findReferences()
         first_view = &view;
         first_stamp = stamp;
       }
+      last_stamp = std::max(last_stamp, stamp);
       ROS_WARN_STREAM_COND(std::abs((stamp - first_stamp).toSec()) > parameters_.pairing_tolerance,
                            view.name << " was trained on the exposure at " << stamp << ", " << first_view->name
                                      << " on that at " << first_stamp << ": motion between them stays unseen");
@@ -229,6 +238,23 @@ void MotionEstimationRos::findReferences()
       view.doubt = { PatientMotion::NO_REFERENCE, reason.str() };
     }
   }
+  if (first && first_unseen_ && last_stamp > *first_unseen_)
+  {
+    doubtStart(*first_unseen_, last_stamp);
+  }
+}
+
+void MotionEstimationRos::doubtStart(const ros::Time& from, const ros::Time& to)
+{
+  std::ostringstream doubt;
+  doubt << "the first exposures, from " << from << " to " << to
+        << ", did not show the patient, who may have left the initial pose by then: that is not confirmed by a "
+           "refinement";
+  start_doubt_ = doubt.str();
+  ROS_WARN_STREAM(start_doubt_);
+  const double moved = parameters_.target_speed * (to - from).toSec();
+  reference_covariance_.topLeftCorner<3, 3>() = moved * moved * Eigen::Matrix3d::Identity();
+  estimator_->setReference(reference_, reference_covariance_);
 }
 
 ViewMeasurement MotionEstimationRos::measure(std::size_t view) const

@@ -75,7 +75,7 @@ MotionEstimationParameters readMotionEstimationParameters(const ros::NodeHandle&
   consistency.read("window", parameters.consistency.window);
   consistency.read("significance", parameters.consistency.significance);
   consistency.read("persistent_sigma", parameters.consistency.persistent_sigma);
-  double rigid_sigma = 0.1;
+  double rigid_sigma = 0.027;
   consistency.read("rigid_sigma", rigid_sigma);
 
   Group prediction(reader, "prediction/");
@@ -114,7 +114,7 @@ MotionEstimationParameters readMotionEstimationParameters(const ros::NodeHandle&
   parameters.bone_shape = target_shape == "bone";
   own.validate(estimation);
   requireOption(rigid_sigma > 0.0 && std::isfinite(rigid_sigma), "consistency/rigid_sigma", rigid_sigma,
-                "a number > 0 px");
+                "a number > 0 mm");
   parameters.consistency.floor_sigma = estimation.floor_sigma;
   consistency.validate(parameters.consistency);
   parameters.rigid_consistency = parameters.consistency;

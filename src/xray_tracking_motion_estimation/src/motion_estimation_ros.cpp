@@ -297,6 +297,7 @@ void MotionEstimationRos::forget()
   consistency_->reset();
   rigid_consistency_->reset();
   last_pose_.reset();
+  first_unseen_.reset();
   predictor_->reset();
   refinement_->reset();
   // A bag that is played again begins with the patient where it began. A clock that was set, or old exposures that are

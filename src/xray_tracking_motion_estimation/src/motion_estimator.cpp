@@ -55,7 +55,7 @@ void MotionEstimationOptions::validate() const
   const auto requirePositive = [](const std::string& key, double value, const std::string& unit)
   { requireOption(value > 0.0 && std::isfinite(value), key, value, "a number > 0" + unit); };
   requireOption(significance > 0.0 && significance < 1.0, "significance", significance, "a probability in (0, 1)");
-  requirePositive("floor_sigma", floor_sigma, " px");
+  requirePositive("floor_sigma", floor_sigma, " mm");
   requirePositive("linear_floor_sigma", linear_floor_sigma, "");
   requirePositive("rotation_sigma", rotation_sigma, " rad");
   requireOption(tissue_sigma >= 0.0 && std::isfinite(tissue_sigma), "tissue_sigma", tissue_sigma, "a number >= 0 mm");
@@ -86,6 +86,7 @@ void MotionEstimator::setReference(const RigidTransform& room_from_patient_refer
 {
   const Eigen::Vector3d target = room_from_patient_reference * target_centre_;
   std::vector<Eigen::Vector3d> lines_of_sight;
+  std::vector<double> pixels;
   Observations all;
   for (std::size_t i = 0; i < views_.size(); ++i)
   {
@@ -93,6 +94,7 @@ void MotionEstimator::setReference(const RigidTransform& room_from_patient_refer
     requireOption(depth > 0.0, "the target's distance from the source of " + views_[i].name(), depth,
                   "a number > 0 mm: a target in front of the source");
     lines_of_sight.push_back((target - views_[i].source()).normalized());
+    pixels.push_back(views_[i].pixelPitch().mean() / views_[i].magnification(target));
     all.emplace_back();
     all.back().view = i;
   }
@@ -104,6 +106,7 @@ void MotionEstimator::setReference(const RigidTransform& room_from_patient_refer
   reference_ = room_from_patient_reference;
   reference_target_ = target;
   lines_of_sight_ = std::move(lines_of_sight);
+  pixels_ = std::move(pixels);
   reference_covariance_ = covariance;
 }
 
@@ -193,7 +196,8 @@ std::string MotionEstimator::observe(std::size_t view, const ViewMeasurement& me
   observation.reference_rotation = reference_.linear() * measurement.room_from_patient.linear().transpose();
 
   Vector6d floor;
-  floor << Eigen::Vector2d::Constant(options_.floor_sigma), Eigen::Vector4d::Constant(options_.linear_floor_sigma);
+  floor << Eigen::Vector2d::Constant(options_.floor_sigma / pixels_[view]),
+      Eigen::Vector4d::Constant(options_.linear_floor_sigma);
   observation.warp_covariance = track.covariance;
   observation.warp_covariance.diagonal() += floor.cwiseAbs2();
   TrackParametersJacobian jacobian;
@@ -344,6 +348,7 @@ bool MotionEstimator::judgeConsistency(const Observations& observations, const M
 {
   Whitened whitened;
   double squared_pixels = 0.0;
+  double squared_millimetres = 0.0;
   estimate.rotation = vectorFromRotation(motion.rotation);
   estimate.chi_square = estimate.rotation.squaredNorm() / (options_.rotation_sigma * options_.rotation_sigma);
   estimate.degrees_of_freedom = -3;
@@ -354,14 +359,17 @@ bool MotionEstimator::judgeConsistency(const Observations& observations, const M
     estimate.degrees_of_freedom += static_cast<int>(observation.model);
     ViewResidual residual;
     residual.view = observation.view;
+    residual.pixel = pixels_[observation.view];
     residual.residual = observation.parameters.head<2>() - whitened.warp.head<2>();
     residual.covariance = observation.warp_covariance.topLeftCorner<2, 2>();
-    residual.covariance.diagonal().array() -= options_.floor_sigma * options_.floor_sigma;
+    residual.covariance.diagonal().array() -= std::pow(options_.floor_sigma / residual.pixel, 2);
     residual.jacobian = whitened.warp_jacobian.topLeftCorner<2, 3>();
     estimate.residuals.push_back(residual);
     squared_pixels += residual.residual.squaredNorm();
+    squared_millimetres += (residual.pixel * residual.residual).squaredNorm();
   }
   estimate.disagreement = std::sqrt(squared_pixels / static_cast<double>(observations.size()));
+  estimate.disagreement_mm = std::sqrt(squared_millimetres / static_cast<double>(observations.size()));
   if (!std::isfinite(estimate.chi_square))
   {
     return false;

@@ -81,10 +81,17 @@ void MotionEstimationRos::considerRefinement(const PatientMotion& motion, const 
   {
     tracked.offsets.push_back(assembler_->offset(i));
   }
+  // What shows nothing, or what an earlier exposure showed, is no evidence of where the patient is.
+  const auto is_blind = [](const TrackedRegion::ConstPtr& region)
+  { return region && region->state == TrackedRegion::BLIND; };
+  if (std::any_of(tracked.regions.begin(), tracked.regions.end(), is_blind))
+  {
+    return;
+  }
   tracked_views_.push_back(std::move(tracked));
 
   TrackedExposure exposure{ assembler_->stamp(), last_pose_ ? last_pose_->second : reference_, PoseCovariance::Zero(),
-                            motion.disagreement, motion.state == PatientMotion::OK };
+                            estimate ? estimate->disagreement_mm : 0.0, motion.state == PatientMotion::OK };
   if (exposure.measured)
   {
     exposure.covariance = estimate->pose_covariance;

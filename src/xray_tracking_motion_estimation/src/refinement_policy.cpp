@@ -61,7 +61,7 @@ void RefinementPolicyOptions::validate() const
   require(queue_size >= 1, "queue_size", queue_size, "1 or more exposures");
   positive("drift", drift, "a number > 0 mm");
   positive("drift_rotation", drift_rotation, "a number > 0 rad");
-  positive("drift_residual", drift_residual, "a number > 0 px");
+  positive("drift_residual", drift_residual, "a number > 0 mm");
   positive("timeout", timeout, "a number > 0 s");
   positive("max_correction", max_correction, "a number > 0 mm");
   positive("max_correction_rotation", max_correction_rotation, "a number > 0 rad");

@@ -88,6 +88,9 @@ class BeamGateTest(LiveTestCase):
         def degrade(regions):
             regions[0].state = TrackedRegion.DEGRADED
 
+        def blind(regions):
+            regions[1].state, regions[1].fault = TrackedRegion.BLIND, 'the image is that of before'
+
         def none(regions):
             regions[1].displacement_y = float('nan')
 
@@ -96,6 +99,7 @@ class BeamGateTest(LiveTestCase):
                 region.covariance = 1e4 * np.array(region.covariance)
 
         for alter, reason, words in ((lose, BeamGate.NOT_MEASURED, 'detector_b has lost'),
+                                     (blind, BeamGate.NOT_MEASURED, 'detector_b is blind: the image is that of'),
                                      (disagree, BeamGate.INCONSISTENT, 'disagree'),
                                      (none, BeamGate.NOT_MEASURED, 'detector_b'),
                                      (degrade, BeamGate.UNCERTAIN, 'detector_a is degraded'),

@@ -69,7 +69,7 @@ const Parameters& forRigidTarget()
 MotionEstimationOptions phantomNoise()
 {
   MotionEstimationOptions options;
-  options.floor_sigma = 0.1;
+  options.floor_sigma = 0.1 * kPixel;
   options.linear_floor_sigma = 0.002;
   return options;
 }
@@ -269,7 +269,7 @@ TEST(Consistency, PersistentDisagreementIsToleratedAsTheParameterSays)
   for (const double persistent : { 0.0, 0.7 })
   {
     ConsistencyOptions options;
-    options.persistent_sigma = persistent;
+    options.persistent_sigma = persistent * kPixel;
     options.window = 10;
     int flagged = 0;
     constexpr int kTrials = 1000;

@@ -22,7 +22,7 @@ TEST(Covariance, NormalisedErrorIsWithinItsBounds)
       Random random(kSeed + 7 * count + static_cast<std::size_t>(model));
       const Scene scene{ count == 2 ? cyberknife() : viewsAround(count), { 12.0, -9.0, 15.0 } };
       MotionEstimationOptions options;
-      options.floor_sigma = 0.2;
+      options.floor_sigma = 0.2 * kPixel;
       options.linear_floor_sigma = 0.003;
       options.rotation_sigma = 1.5 * kDegree;
       options.significance = 0.05;
@@ -71,7 +71,7 @@ TEST(Covariance, HasTheTissueThatNoTrackTellsOf)
   constexpr int kTrials = 1000;
   const Scene scene{ cyberknife(), { 12.0, -9.0, 15.0 } };
   MotionEstimationOptions options;
-  options.floor_sigma = 0.2;
+  options.floor_sigma = 0.2 * kPixel;
   const auto squaredError = [&](double tissue_sigma)
   {
     options.tissue_sigma = tissue_sigma;

@@ -34,7 +34,7 @@ TEST(Cost, OfAnExposureIsMicrosecondsAndWithoutTheHeap)
       const Scene scene{ count == 2 ? cyberknife() : viewsAround(count), { 12.0, -9.0, 15.0 } };
       const MotionEstimator estimator = scene.estimator(MotionEstimationOptions());
       ConsistencyOptions rigid;
-      rigid.floor_sigma = 0.1;
+      rigid.floor_sigma = 0.027;
       rigid.persistent_sigma = 0.0;
       ConsistencyMonitor monitor{ ConsistencyOptions() };
       ConsistencyMonitor rigid_monitor{ rigid };

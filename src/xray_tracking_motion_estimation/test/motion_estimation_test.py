@@ -197,6 +197,21 @@ class MotionEstimationTest(EstimationTestCase):
         for index in (1, 2):
             self.expect_no_pose(index, 3)
 
+    def test_blind_first_exposures_put_the_initial_pose_in_doubt(self):
+        for index in range(3):
+            regions = self.regions(index)
+            for region in regions:
+                region.state, region.fault = TrackedRegion.BLIND, 'the image shows nothing'
+            answer = self.expose(regions, index)
+            self.assertEqual(answer.state, PatientMotion.LOST)
+            self.assertIn('is blind: the image shows nothing', answer.reason)
+        answer = self.expose(self.regions(5, reference=3), 5)
+        self.assertEqual(answer.state, PatientMotion.OK, answer.reason)
+        # Seen first after 0.3 s, in which it may have moved by 15 mm/s along any axis.
+        for axis in (0, 4, 8):
+            self.assertGreater(answer.covariance[axis], 0.0045 ** 2)
+            self.assertLess(answer.covariance[axis], 0.0055 ** 2)
+
     def test_templates_trained_later(self):
         for index in range(5):
             self.expose(self.regions(index), index)

@@ -63,8 +63,9 @@ TEST(LeastSquares, FindsTheMinimumOfInconsistentTracks)
       {
         const Eigen::Vector2d residual = pixelOf(scene.views[i], scene.target + translation) -
                                          pixelOf(scene.views[i], scene.target) - tracks[i]->track.displacement;
-        const Eigen::Matrix2d covariance = tracks[i]->track.covariance.topLeftCorner<2, 2>() +
-                                           options.floor_sigma * options.floor_sigma * Eigen::Matrix2d::Identity();
+        const Eigen::Matrix2d covariance =
+            tracks[i]->track.covariance.topLeftCorner<2, 2>() +
+            std::pow(options.floor_sigma / pixelAt(scene.views[i], scene.target), 2) * Eigen::Matrix2d::Identity();
         sum += residual.dot(covariance.inverse() * residual);
       }
       return sum;
@@ -220,7 +221,7 @@ TEST(Covariance, IsWhatMonteCarloFinds)
     options.significance = 0.05;
     Eigen::Matrix2d covariance;
     covariance << 0.6, 0.2, 0.2, 0.3;
-    const Eigen::Matrix2d total = covariance + options.floor_sigma * options.floor_sigma * Eigen::Matrix2d::Identity();
+    const Eigen::Matrix2d total = covariance + std::pow(options.floor_sigma / kPixel, 2) * Eigen::Matrix2d::Identity();
     const Eigen::Matrix2d root = total.llt().matrixL();
     const MotionEstimator estimator = scene.estimator(options);
     double normalised_squared_error = 0.0;

@@ -143,7 +143,7 @@ TEST(LeastSquares, IsExactForTranslationsWhateverTheTrackersModel)
 MotionEstimationOptions sharpOptions(EstimationMethod method = EstimationMethod::LEAST_SQUARES)
 {
   MotionEstimationOptions options = optionsFor(method);
-  options.floor_sigma = 1e-3;
+  options.floor_sigma = 1e-3 * kPixel;
   options.linear_floor_sigma = 1e-5;
   options.significance = 1e-12;
   return options;

@@ -17,6 +17,9 @@ namespace xray_tracking
 constexpr double kDegree = M_PI / 180.0;
 constexpr double kSourceToIsocentre = 2600.0;
 constexpr double kSourceToDetector = 3800.0;
+constexpr double kPitch = 0.4;
+/// Size of the views' pixels at the isocentre [mm].
+constexpr double kPixel = kPitch * kSourceToIsocentre / kSourceToDetector;
 
 /// A view of the isocentre with columns along room x, its axis turned about room x by `angle` from straight down and
 /// then about room z by `turn`.
@@ -30,7 +33,7 @@ inline DetectorDescription viewAt(const std::string& name, double angle, double 
   const Eigen::Vector3d x = tilt * Eigen::Vector3d::UnitX();
   const Eigen::Vector3d y = tilt * -Eigen::Vector3d::UnitY();
   const Eigen::Vector3d axis = x.cross(y);
-  const double pitch = 0.4;
+  const double pitch = kPitch;
   DetectorDescription view{ name, { 512, 512 }, { pitch, pitch }, -source_to_isocentre * axis, {}, x, y };
   view.origin = view.source + source_to_detector * axis - 255.5 * pitch * (x + y);
   return view;
@@ -61,6 +64,13 @@ inline std::vector<ProjectionGeometry> geometriesOf(const std::vector<DetectorDe
     geometries.push_back(ProjectionGeometry::fromDescription(view));
   }
   return geometries;
+}
+
+/// Size of a view's pixel in a point's distance [mm].
+inline double pixelAt(const DetectorDescription& view, const Eigen::Vector3d& point)
+{
+  const Eigen::Vector3d normal = view.x_direction.cross(view.y_direction);
+  return view.pixel_pitch.x() * normal.dot(point - view.source) / normal.dot(view.origin - view.source);
 }
 
 /// Where the ray of a point meets the panel [px], from the description alone.
@@ -250,7 +260,7 @@ public:
   {
     const Eigen::MatrixXd free = freeDirections(track.model, track.linear);
     Matrix6d covariance = track.covariance;
-    covariance.diagonal().head<2>().array() += options.floor_sigma * options.floor_sigma;
+    covariance.diagonal().head<2>().array() += std::pow(options.floor_sigma / kPixel, 2);
     covariance.diagonal().tail<4>().array() += options.linear_floor_sigma * options.linear_floor_sigma;
     const Eigen::MatrixXd along = free.transpose() * covariance * free;
     const Vector6d change = free * (along.llt().matrixL() * normals(static_cast<int>(free.cols())));

@@ -5,15 +5,16 @@
 
 #include "belief.h"
 #include "derivative_free.h"
-#include "distinctness.h"
 #include "message.h"
 #include "reliability.h"
+#include "shifted_views.h"
 #include "xray_tracking_core/evaluation/evaluation.h"
 
 namespace xray_tracking
 {
 namespace
 {
+constexpr double kShift = 8.0;  // what Path::SHIFT looks for, at most [mm]
 constexpr Resolution kMedium{ 1.1, 3.5 };
 constexpr Resolution kFineWide{ 1.1, 11.0 };  // for similarities that live on the large structures too
 constexpr Descent kTogether{ 12, 3e-3 };
@@ -103,6 +104,18 @@ Outcome Descender::descend(const Run& run, const PosePair& start, Path path) con
     if (options_.optimiser != Optimiser::GAUSS_NEWTON)
     {
       descendDerivativeFree(run, poses);
+    }
+    else if (path == Path::SHIFT)
+    {
+      run.control.level = 0;
+      if (run.control.mayRender(poses.target, 0.0))
+      {
+        const Eigen::Vector3d shift = mostAlikeShift(run, bodies_, makeViews(run, poses, kMedium), poses,
+                                                     std::min(kShift, run.request.max_translation_mm));
+        PosePair shifted =
+            moved(poses, (Twist() << Eigen::Vector3d::Zero(), shift).finished(), bodies_.centre, together());
+        poses = run.control.inBounds(shifted.target) ? shifted : poses;
+      }
     }
     else if (path == Path::MEDIUM)
     {

@@ -21,6 +21,7 @@ enum class Path
 {
   COARSE,  ///< the coarse level, as one body and then as two: reaches farthest, but what most of the images show leads
   MEDIUM,  ///< a medium one, as two bodies at once: where the start is better than where the rest leads
+  SHIFT,   ///< a shift of up to 8 mm along each axis by correlation: from one exposure to the next
   FINE     ///< none
 };
 

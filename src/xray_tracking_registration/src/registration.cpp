@@ -207,13 +207,16 @@ private:
 
     const bool near = options_.optimiser == Optimiser::GAUSS_NEWTON &&
                       *std::min_element(before.similarity.begin(), before.similarity.end()) >= kNearlyThere;
-    Outcome best = descender_->descend(run, start, near ? Path::FINE : Path::COARSE);
+    Outcome best = descender_->descend(run, start,
+                                       options_.optimiser != Optimiser::GAUSS_NEWTON ? Path::COARSE
+                                       : near                                        ? Path::FINE
+                                                                                     : Path::SHIFT);
     if (options_.optimiser != Optimiser::GAUSS_NEWTON)
     {
       return best;
     }
     const auto failed = [&] { return !best.doubt.empty() && run.control.stop() == RunControl::Stop::NONE; };
-    if (near && failed())
+    if (failed())
     {
       best = descender_->descend(run, start, Path::COARSE);
     }

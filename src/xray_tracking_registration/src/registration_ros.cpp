@@ -259,6 +259,7 @@ void RegistrationRos::noteRestart()
     ROS_WARN_STREAM("exposures start again: forgetting the earlier ones");
     accepted_pose_ = setup_.room_from_patient;
     target_from_rest_ = RigidTransform::Identity();
+    usable_pixels_.reset();
     last_refined_ = ros::Time();
   }
 }
@@ -303,12 +304,12 @@ std::shared_ptr<const Registration> RegistrationRos::currentRegistration()
   return registration_;
 }
 
-RegistrationRequest RegistrationRos::requestFor(const StoredExposure& exposure, Search search,
-                                                const Progress& progress) const
+RegistrationRequest RegistrationRos::requestFor(const StoredExposure& exposure, Search search, const Progress& progress)
 {
   RegistrationRequest request;
   request.views = viewsOf(exposure, setup_, tf_buffer_);
   request.intensity = setup_.intensity;
+  usable_pixels_.apply(static_cast<std::int64_t>(exposure.images.front()->header.stamp.toNSec()), request);
   request.target_from_rest = target_from_rest_;
   const bool wide = search == Search::WIDE;
   request.search = search;

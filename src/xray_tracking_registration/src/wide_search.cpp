@@ -10,7 +10,7 @@ namespace xray_tracking
 {
 namespace
 {
-constexpr std::size_t kPlaces = 24;
+constexpr std::size_t kPlaces = 60;
 constexpr int kDescents = 6;     // at most
 constexpr double kBehind = 0.1;  // in PoseSearch::similarity(): places that are not worth a descent
 constexpr double kMet = 1.0;     // apart [mm]

@@ -109,7 +109,8 @@ TEST(Registration, ReturnsNothingFarOffAsSuccess)
   int lost = 0;
   for (int n = 0; n < 10; ++n)
   {
-    const KnownExposure exposure = randomExposure({ 25.0, 12.0, 4.0, 2.0 }, random);
+    // Farther than the bounds of 30 mm.
+    const KnownExposure exposure = randomExposure({ 45.0, 12.0, 4.0, 2.0 }, random);
     const RegistrationResult result = twoBodies().run(exposure.request);
     if (error(result, exposure.gold) > 1.5)
     {
@@ -141,7 +142,7 @@ TEST(Registration, OneBodyIsDoubtedWhereTheRestMovesOtherwise)
   int far = 0, doubted = 0;
   for (int n = 0; n < 12; ++n)
   {
-    const KnownExposure exposure = randomExposure({ 2.0, 1.0, 8.0, 3.0 }, random);
+    const KnownExposure exposure = randomExposure({ 2.0, 1.0, 14.0, 6.0 }, random);
     const RegistrationResult result = one.run(exposure.request);
     doubted += result.status != RegistrationStatus::SUCCESS ? 1 : 0;
     if (error(result, exposure.gold) > 1.5)

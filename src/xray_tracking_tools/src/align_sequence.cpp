@@ -64,7 +64,8 @@ int alignSequence(const po::variables_map& arguments)
   std::ostringstream what;
   what.precision(3);
   what << (motion * centre - centre).norm() << " mm and " << rotationAngle(motion) / kDegree
-       << " degrees from the initial pose, similarity " << result.similarity_after;
+       << " degrees from the initial pose, similarity " << result.similarity_after << ", probability "
+       << result.probability;
   if (result.status != RegistrationStatus::SUCCESS)
   {
     throw std::runtime_error(

@@ -13,11 +13,14 @@ namespace
 /// Lead lets less than a hundredth through; what is seen behind it is scatter: close to the edge a half of that in the
 /// field, where scatter may be a half of all.
 constexpr float kRise = 0.3f;
-// Least rise, as ratios of what is hardly above the offset say nothing: of the brightest bins, in standard deviations
-// of a pixel's noise, and in steps of whole numbers.
+// Before it there is little: towards its edge a round body grows thinner as a root, a blade does not.
+constexpr float kRiseBefore = 0.12f;
+constexpr int kFlat = 4;  // bins
+// Least rise, as ratios of what is hardly above the offset say nothing: of the brightest bins, in steps of whole
+// numbers, and in standard deviations of a pixel's quantum noise behind it.
 constexpr float kLeastOfBrightest = 0.003f;
-constexpr float kLeastOfNoise = 1.5f;
 constexpr float kLeastSteps = 4.f;
+constexpr float kLeastOfNoise = 2.f;
 constexpr int kThin = 7;  // bins: what protrudes into the field and is thinner is no border
 
 const cv::Mat& square(int edge)
@@ -27,15 +30,25 @@ const cv::Mat& square(int edge)
   return edge == 3 ? kThree : kWide;
 }
 
+/// Of a rise, and of its square a count behind it.
+struct Least
+{
+  float rise;
+  float squared;
+};
+
 /// Marks what a ray from the image's border passes before the field, if it is dark up to a steep rise. @return whether
-bool markRay(const float* light, std::uint8_t* marks, std::ptrdiff_t stride, int count, float least_rise)
+bool markRay(const float* light, std::uint8_t* marks, std::ptrdiff_t stride, int count, const Least& least)
 {
   float largest = light[0];
   int last = -1;
   for (int i = 1; i + 2 < count; ++i)
   {
     const float behind = std::min(light[(i + 1) * stride], light[(i + 2) * stride]);
-    if (largest < kRise * behind && behind - largest > least_rise)
+    const float before = light[(i - 1) * stride] - light[std::max(0, i - kFlat) * stride];
+    const float rise = behind - largest;
+    if (largest < kRise * behind && rise > least.rise && rise * rise > least.squared * behind &&
+        before < kRiseBefore * behind)
     {
       last = i;
     }
@@ -49,13 +62,20 @@ bool markRay(const float* light, std::uint8_t* marks, std::ptrdiff_t stride, int
 }
 }  // namespace
 
+void FieldBorder::close(const ImageBins& bins)
+{
+  outside_.create(bins.light().size(), CV_8UC1);
+  outside_.setTo(255);
+  any_ = true;
+}
+
 void FieldBorder::update(const ImageBins& bins)
 {
   // Without what is bright and small: letters beside the field.
   cv::morphologyEx(bins.light(), opened_, cv::MORPH_OPEN, square(3));
   const int rows = opened_.rows, columns = opened_.cols;
-  const float least_rise =
-      std::max({ kLeastOfBrightest * bins.brightest(), kLeastOfNoise * bins.noise(), kLeastSteps * bins.step() });
+  const Least least{ std::max(kLeastOfBrightest * bins.brightest(), kLeastSteps * bins.step()),
+                     kLeastOfNoise * kLeastOfNoise * bins.quantum() };
   outside_.create(opened_.size(), CV_8UC1);
   outside_.setTo(0);
   any_ = false;
@@ -63,14 +83,14 @@ void FieldBorder::update(const ImageBins& bins)
   {
     const float* light = opened_.ptr<float>(y);
     std::uint8_t* marks = outside_.ptr(y);
-    any_ |= markRay(light, marks, 1, columns, least_rise);
-    any_ |= markRay(light + columns - 1, marks + columns - 1, -1, columns, least_rise);
+    any_ |= markRay(light, marks, 1, columns, least);
+    any_ |= markRay(light + columns - 1, marks + columns - 1, -1, columns, least);
   }
   const std::ptrdiff_t stride = columns;  // of both: neither is a part of another image
   for (int x = 0; x < columns; ++x)
   {
-    any_ |= markRay(opened_.ptr<float>() + x, outside_.ptr() + x, stride, rows, least_rise);
-    any_ |= markRay(opened_.ptr<float>(rows - 1) + x, outside_.ptr(rows - 1) + x, -stride, rows, least_rise);
+    any_ |= markRay(opened_.ptr<float>() + x, outside_.ptr() + x, stride, rows, least);
+    any_ |= markRay(opened_.ptr<float>(rows - 1) + x, outside_.ptr(rows - 1) + x, -stride, rows, least);
   }
   if (!any_)
   {
@@ -134,8 +154,4 @@ void FieldBorder::leaveBrightestPart()
   }
 }
 
-double FieldBorder::share() const
-{
-  return any_ ? cv::countNonZero(outside_) / static_cast<double>(outside_.total()) : 0.0;
-}
 }  // namespace xray_tracking

@@ -13,11 +13,12 @@ class FieldBorder
 {
 public:
   void update(const ImageBins& bins);
+  /// All is outside.
+  void close(const ImageBins& bins);
 
   /// Of the bins, CV_8UC1: 255 outside the field and in its penumbra.
   const cv::Mat& outside() const { return outside_; }
   bool any() const { return any_; }
-  double share() const;  ///< of the bins that are outside, 0..1
 
 private:
   void leaveBrightestPart();

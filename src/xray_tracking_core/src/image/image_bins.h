@@ -8,37 +8,46 @@
 
 namespace xray_tracking
 {
-/// An image in a few robust values: medians of nine pixels each, spread over square bins, which single stuck pixels do
-/// not reach.
+/// An image in a few robust values: medians of three pixels each, spread over square bins.
 class ImageBins
 {
 public:
+  /// @param bins along the longer side
+  explicit ImageBins(int bins) : bins_(bins) {}
+
   /// @param image CV_8UC1, CV_16UC1 or CV_32FC1
   void update(const cv::Mat& image, const IntensityModel& intensity);
 
-  int edge() const { return edge_; }                 ///< of a bin [px]
-  const cv::Mat& values() const { return values_; }  ///< as in the image, CV_32FC1
+  int edge() const { return edge_; }           ///< of a bin [px]
+  double largest() const { return largest_; }  ///< in the image's values
+  double smallest() const { return smallest_; }
   /// Bright where the image is lit, CV_32FC1: counts less offset, 0 or more, or exp(-attenuation).
   const cv::Mat& light() const { return light_; }
-  double largest() const { return largest_; }  ///< of values()
-  double smallest() const { return smallest_; }
   float brightest() const { return brightest_; }  ///< of light(), but for the largest twentieth
   float step() const { return step_; }            ///< of light(), where it is in whole numbers; else 0
-  float noise() const
-  {
-    return noise_;
-  }  ///< standard deviation of a pixel of light(), median over the bins; of counts alone, else 0
+  float noise() const { return noise_; }          ///< standard deviation of a pixel's light in quiet bins; counts only
+  float quantum() const { return quantum_; }      ///< variance of a pixel's light in units of it; counts only, else 0
   /// Of neighbouring bins, -1..1; 0 if all are the same.
   double correlation() const;
 
 private:
+  struct Sample
+  {
+    float value;
+    float range;  ///< of three pixels
+  };
+
   template <typename Pixel>
   void fill(const cv::Mat& image);
+  void measureNoise(double offset);
 
+  int bins_;
   int edge_ = 1;
   cv::Mat values_, light_;
   double largest_ = 0.0, smallest_ = 0.0;
-  float brightest_ = 0.f, noise_ = 0.f, step_ = 0.f;
-  std::vector<float> spreads_, sorted_;
+  float brightest_ = 0.f, step_ = 0.f, noise_ = 0.f, quantum_ = 0.f;
+  std::vector<int> columns_;  ///< of the pixels of every bin
+  std::vector<Sample> samples_;
+  std::vector<float> sorted_;
 };
 }  // namespace xray_tracking

@@ -8,20 +8,14 @@
 #include <stdexcept>
 #include <vector>
 
-#include "field_border.h"
-#include "image_bins.h"
 #include "pixel_type.h"
 #include "stuck_pixels.h"
+#include "xray_tracking_core/image/xray_field.h"
 
 namespace xray_tracking
 {
 namespace
 {
-constexpr int kLeastSize = 16;  // of an image [px]
-constexpr double kLeastField = 0.01;
-/// Bins of a real image go together by 0.9 and more, of noise alone, even if it is correlated over pixels, hardly.
-constexpr double kLeastCorrelation = 0.3;
-constexpr float kLeastLevel = 2.f;  // of the brightest bins, in standard deviations of a pixel
 // Values at an end of the range are a plateau if so many pixels are there, and so many times as many as next to it.
 constexpr double kPlateau = 1e-3;
 constexpr double kPile = 2.0;
@@ -64,28 +58,28 @@ struct Bounds
 };
 
 template <typename Pixel>
-Bounds boundsOf(const cv::Mat& image, const IntensityModel& intensity, const ImageBins& bins)
+Bounds boundsOf(const cv::Mat& image, const IntensityModel& intensity, const XrayField& field)
 {
   Bounds bounds;
   double smallest = 0.0, largest = 0.0;
   cv::minMaxLoc(image, &smallest, &largest);
-  const double range = bins.largest() - bins.smallest();
+  const double range = field.largest() - field.smallest();
   if (allOnes(largest))
   {
     bounds.high = largest;
   }
   // The bins' ends, as stuck pixels may be beyond.
-  if (isPlateau<Pixel>(image, bins.largest(), range))
+  if (isPlateau<Pixel>(image, field.largest(), range))
   {
-    bounds.high = std::min(bounds.high, bins.largest());
+    bounds.high = std::min(bounds.high, field.largest());
   }
   if (smallest == 0.0 && image.depth() != CV_32F)
   {
     bounds.low = 0.0;
   }
-  if (isPlateau<Pixel>(image, bins.smallest(), range))
+  if (isPlateau<Pixel>(image, field.smallest(), range))
   {
-    bounds.low = std::max(bounds.low, bins.smallest());
+    bounds.low = std::max(bounds.low, field.smallest());
   }
   if (intensity.kind == IntensityModel::Kind::COUNTS)
   {
@@ -94,44 +88,18 @@ Bounds boundsOf(const cv::Mat& image, const IntensityModel& intensity, const Ima
   return bounds;
 }
 
-std::string number(double value)
-{
-  std::ostringstream text;
-  text << value;
-  return text.str();
-}
 }  // namespace
 
 struct ImageInspector::Implementation
 {
   ImageReport report;
-  ImageBins bins;
-  FieldBorder field;
+  XrayField field;
   StuckPixels stuck;
-
-  /// Why the image shows nothing; empty if it does.
-  std::string nothing(const IntensityModel& intensity) const
-  {
-    if (bins.largest() == bins.smallest())
-    {
-      return "the image shows nothing: it is " + number(bins.largest()) + " everywhere";
-    }
-    if (intensity.kind == IntensityModel::Kind::COUNTS && bins.brightest() <= kLeastLevel * bins.noise())
-    {
-      return "the image shows nothing: its brightest part is " + number(bins.brightest()) +
-             " counts above the offset " + number(intensity.offset) + ", with noise of " + number(bins.noise());
-    }
-    if (bins.correlation() < kLeastCorrelation)
-    {
-      return "the image shows nothing but noise";
-    }
-    return "";
-  }
 
   template <typename Pixel>
   void markSaturation(const cv::Mat& image, const IntensityModel& intensity)
   {
-    const Bounds bounds = boundsOf<Pixel>(image, intensity, bins);
+    const Bounds bounds = boundsOf<Pixel>(image, intensity, field);
     const bool counts = intensity.kind == IntensityModel::Kind::COUNTS;
     const std::uint8_t above = counts ? SATURATED_BRIGHT : SATURATED_DARK;
     const std::uint8_t below = counts ? SATURATED_DARK : SATURATED_BRIGHT;
@@ -145,31 +113,6 @@ struct ImageInspector::Implementation
       {
         const auto value = static_cast<float>(values[x]);
         flaws[x] = static_cast<std::uint8_t>((value >= high ? above : 0) | (value <= low ? below : 0));
-      }
-    }
-  }
-
-  void markBorder()
-  {
-    if (!field.any())
-    {
-      return;
-    }
-    const cv::Rect& part = report.part;
-    const int edge = bins.edge();
-    for (int y = 0; y < part.height; ++y)
-    {
-      const std::uint8_t* outside = field.outside().ptr((part.y + y) / edge);
-      std::uint8_t* flaws = report.flaws.ptr(y);
-      for (int x = 0; x < part.width;)
-      {
-        const int bin = (part.x + x) / edge;
-        const int end = std::min(part.width, (bin + 1) * edge - part.x);
-        const std::uint8_t flaw = outside[bin] != 0 ? BORDER : 0;
-        for (; x < end; ++x)
-        {
-          flaws[x] |= flaw;
-        }
       }
     }
   }
@@ -215,13 +158,6 @@ const ImageReport& ImageInspector::report() const
 const ImageReport& ImageInspector::inspect(const cv::Mat& image, const IntensityModel& intensity, const cv::Rect& part)
 {
   const cv::Rect whole(cv::Point(), image.size());
-  if (image.dims != 2 || image.cols < kLeastSize || image.rows < kLeastSize ||
-      (image.type() != CV_8UC1 && image.type() != CV_16UC1 && image.type() != CV_32FC1))
-  {
-    throw std::invalid_argument("image: is " + std::to_string(image.cols) + " x " + std::to_string(image.rows) +
-                                " of OpenCV type " + std::to_string(image.type()) +
-                                ", expected one channel of 8 or 16 bit or float, 16 x 16 pixels or more");
-  }
   if ((part & whole) != part)
   {
     throw std::invalid_argument("part: is " + std::to_string(part.width) + " x " + std::to_string(part.height) +
@@ -230,18 +166,10 @@ const ImageReport& ImageInspector::inspect(const cv::Mat& image, const Intensity
                                 std::to_string(image.rows));
   }
   Implementation& i = *implementation_;
+  i.field.update(image, intensity);
   i.report.part = part.empty() ? whole : part;
   i.report.flaws.create(i.report.part.size(), CV_8UC1);
-  i.bins.update(image, intensity);
-  i.report.nothing = i.nothing(intensity);
-  if (i.report.nothing.empty())
-  {
-    i.field.update(i.bins);
-    if (i.field.share() > 1.0 - kLeastField)
-    {
-      i.report.nothing = "the image shows nothing: all of it is outside the field";
-    }
-  }
+  i.report.nothing = i.field.nothing();
   if (!i.report.nothing.empty())
   {
     i.report.flaws.setTo(BORDER);
@@ -249,7 +177,7 @@ const ImageReport& ImageInspector::inspect(const cv::Mat& image, const Intensity
     return i.report;
   }
   withPixelType(image, [&](auto pixel) { i.markSaturation<decltype(pixel)>(image, intensity); });
-  i.markBorder();
+  i.field.mark(i.report.part, BORDER, i.report.flaws);
   i.stuck.mark(image, i.report.part, i.report.flaws);
   i.count();
   return i.report;
@@ -289,52 +217,5 @@ void ImageReport::usable(cv::Mat& mask, std::uint8_t flaws_to_leave_out) const
                    [flaws_to_leave_out](std::uint8_t f)
                    { return static_cast<std::uint8_t>((f & flaws_to_leave_out) == 0 ? 255 : 0); });
   }
-}
-
-void repairStuckPixels(cv::Mat& image, const ImageReport& report)
-{
-  if (report.stuck == 0.0)
-  {
-    return;
-  }
-  constexpr int kFarthest = 4;  // [px]
-  std::vector<float> values;
-  withPixelType(
-      image,
-      [&](auto pixel)
-      {
-        using Pixel = decltype(pixel);
-        for (int y = 0; y < report.part.height; ++y)
-        {
-          for (int x = 0; x < report.part.width; ++x)
-          {
-            if ((report.flaws.at<std::uint8_t>(y, x) & STUCK) == 0)
-            {
-              continue;
-            }
-            values.clear();
-            for (int reach = 1; reach <= kFarthest && values.size() < 3; ++reach)
-            {
-              values.clear();
-              for (int v = std::max(0, y - reach); v <= std::min(report.part.height - 1, y + reach); ++v)
-              {
-                for (int u = std::max(0, x - reach); u <= std::min(report.part.width - 1, x + reach); ++u)
-                {
-                  if ((report.flaws.at<std::uint8_t>(v, u) & kUnusable) == 0)
-                  {
-                    values.push_back(static_cast<float>(image.at<Pixel>(v + report.part.y, u + report.part.x)));
-                  }
-                }
-              }
-            }
-            if (!values.empty())
-            {
-              const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-              std::nth_element(values.begin(), middle, values.end());
-              image.at<Pixel>(y + report.part.y, x + report.part.x) = static_cast<Pixel>(*middle);
-            }
-          }
-        }
-      });
 }
 }  // namespace xray_tracking

@@ -19,6 +19,9 @@ struct Warp;
 struct HyperplaneTrackerOptions
 {
   MotionModel model = MotionModel::TRANSLATION;
+  /// Edge of the squares of pixels whose means are tracked [px], 1..64, less where a region would have less than 32 of
+  /// them: a fine detector takes no longer than a coarse one. All other lengths here are in such means [px].
+  int reduction = 1;
   /// Template points, uniformly random in the region; 50..20000, and so few that a training takes at most 1e9 bytes, 4
   /// points (training_motions + 4 points).
   int points = 400;
@@ -116,9 +119,11 @@ public:
   void setThresholds(const HyperplaneTrackerOptions& options);
 
 private:
+  class View;
   struct State;
 
-  /// Finds the template from a start into result_. @param only_near not by the coarse predictors
+  /// Finds the template from a start into result_. @param start displacement and linear part in the reduced image
+  /// @param only_near not by the coarse predictors
   void search(const cv::Mat& image, const Warp& start, bool only_near);
   /// @param degraded whether the last result was
   TrackResult::Status judged(const SearchResult& found, bool degraded) const;

@@ -20,6 +20,7 @@
 
 #include "xray_tracking_hyperplane_tracker/HyperplaneTrackerConfig.h"
 #include "xray_tracking_hyperplane_tracker/bounded_queue.h"
+#include "xray_tracking_hyperplane_tracker/exposure_check.h"
 #include "xray_tracking_hyperplane_tracker/recovering_tracker.h"
 #include "xray_tracking_hyperplane_tracker/tracker_parameters.h"
 #include "xray_tracking_hyperplane_tracker/training_mailbox.h"
@@ -96,6 +97,10 @@ private:
   void startAnew();
   /// Learns a template if there is reason to and tracks. @return what went wrong; empty: nothing
   std::string answer(const sensor_msgs::ImageConstPtr& image, TrackedRegion& result);
+  /// Of an exposure that shows something. @param outcome of the request, if it was served
+  std::string answerUsable(const cv::Mat& pixels, const sensor_msgs::ImageConstPtr& image,
+                           const TrainingRequest* request, TrackedRegion& result,
+                           std::optional<TrainRegion::Response>& outcome);
   TrainRegion::Response serveTraining(const cv::Rect& region, const cv::Mat& pixels,
                                       const sensor_msgs::ImageConstPtr& image);
   TrainRegion::Response serveRetraining(const cv::Mat& pixels, const TrackedRegion& result);
@@ -127,6 +132,7 @@ private:
   TrackerParameters parameters_;
   IntensityModel intensity_;
   std::optional<RecoveringTracker> tracker_;
+  std::optional<ExposureCheck> check_;            ///< with the tracker
   HyperplaneTracker* hyperplane_ = nullptr;       ///< the tracker, if that is the method
   TemplateRegistration* registration_ = nullptr;  ///< else this one
   std::optional<cv::Rect> configured_region_;     ///< of parameters or setup file

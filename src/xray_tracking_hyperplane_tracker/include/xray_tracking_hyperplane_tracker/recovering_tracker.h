@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cmath>
 #include <memory>
 #include <optional>
 #include <utility>
@@ -22,8 +23,9 @@ namespace xray_tracking
 class RecoveringTracker
 {
 public:
-  RecoveringTracker(std::unique_ptr<RegionTracker> tracker, const IntensityModel& intensity)
-    : tracker_(std::move(tracker)), intensity_(intensity)
+  /// @param reduction as RegionSearch's
+  RecoveringTracker(std::unique_ptr<RegionTracker> tracker, const IntensityModel& intensity, int reduction = 1)
+    : tracker_(std::move(tracker)), intensity_(intensity), reduction_(reduction)
   {
   }
 
@@ -32,6 +34,12 @@ public:
   void reset();
   bool trained() const { return tracker_->trained(); }
   cv::Rect region() const { return tracker_->region(); }
+  /// Where the region was last found [px], its size kept.
+  cv::Rect lastPlace() const
+  {
+    return region() +
+           cv::Point(static_cast<int>(std::lround(last_good_.x())), static_cast<int>(std::lround(last_good_.y())));
+  }
 
   /// As RegionTracker::track; where it fails at most seven more of its searches in the same image.
   const TrackResult& track(const cv::Mat& image);
@@ -40,12 +48,17 @@ public:
 private:
   void recover(const cv::Mat& image);
   bool asBefore(const TrackResult& found) const;
+  bool isTemplates(const cv::Mat& image) const;
 
   std::unique_ptr<RegionTracker> tracker_;
   IntensityModel intensity_;
+  int reduction_;
   std::optional<RegionSearch> search_;
   Eigen::Vector2d last_good_ = Eigen::Vector2d::Zero();  ///< displacement [px]
-  std::optional<double> usual_unexplained_;              ///< 1 - correlation^2, running mean over the tracked images
+  cv::Mat template_pixels_;                              ///< of the region
+  /// 1 - correlation^2: the most that tracked images have left, those long ago less. Nothing if there was no image but
+  /// the template's own, which leaves nothing whatever the region usually does.
+  std::optional<double> usual_unexplained_;
   bool lost_ = false;
   TrackResult result_;
 };

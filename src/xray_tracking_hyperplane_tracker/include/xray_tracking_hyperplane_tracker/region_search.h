@@ -25,7 +25,8 @@ class RegionSearch
 {
 public:
   /// @param image CV_8UC1 or CV_16UC1; @param region [px], inside the image, 16 px or more in both directions
-  RegionSearch(const cv::Mat& image, const cv::Rect& region, const IntensityModel& intensity);
+  /// @param reduction factor by which pixels are smaller than usual, about 0.25 mm at the target; 1 or more
+  RegionSearch(const cv::Mat& image, const cv::Rect& region, const IntensityModel& intensity, int reduction = 1);
 
   /// @param image of any content, of the type of the first one; up to a quarter of the region's width and height may
   ///        lie outside of it
@@ -36,12 +37,14 @@ private:
   cv::Mat coarse(const cv::Mat& image) const;
 
   IntensityModel intensity_;
-  int bin_;  ///< image pixels a coarse pixel
+  int bin_;         ///< image pixels a coarse pixel
+  double shading_;  ///< what is slower counts as shading [coarse px]
   cv::Rect region_;
   cv::Mat patch_;  ///< CV_32FC1, the coarse region
 };
 
 /// Which of the candidates that a tracker has refined is the region: the one of best quality, if it was found and
 /// leaves clearly less unexplained than any other one at another place; none if two look alike.
-std::optional<std::size_t> provenCandidate(const std::vector<TrackResult>& refined);
+/// @param reduction as RegionSearch's
+std::optional<std::size_t> provenCandidate(const std::vector<TrackResult>& refined, int reduction = 1);
 }  // namespace xray_tracking

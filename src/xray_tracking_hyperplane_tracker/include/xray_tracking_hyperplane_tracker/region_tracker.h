@@ -41,6 +41,12 @@ struct TrackResult
   bool found() const { return status == Status::TRACKED || status == Status::DEGRADED; }
 };
 
+/// Whether a rotation has been measured, three standard deviations away from none; for the Euclidean model.
+bool tellsRotation(const TrackResult& result);
+
+/// What a translation is of a result: for a target that is not seen to turn, whose rotation would only be an error.
+TrackResult withoutLinearPart(TrackResult result);
+
 /// Follows a region that was learnt in one image through others of the same detector.
 class RegionTracker
 {
@@ -65,7 +71,8 @@ public:
 
   /// As track(), from another start than the last good place, for a search of the whole image (RegionSearch) or a
   /// prediction. Where the template is not found, the last good place and whether it counts as lost are as before.
-  /// @param displacement of the region's centre, to within about 10 px: what is farther away, as a neighbouring vertebra
+  /// @param displacement of the region's centre, to within about 10 px: what is farther away, as a neighbouring
+  /// vertebra
   ///        is, is not looked at; the linear part starts as the identity
   virtual const TrackResult& trackFrom(const cv::Mat& image, const Eigen::Vector2d& displacement) = 0;
 

@@ -2,6 +2,7 @@
 
 #include <optional>
 #include <string>
+#include <vector>
 
 #include <ros/node_handle.h>
 #include <opencv2/core.hpp>
@@ -23,8 +24,15 @@ enum class TrackingMethod
 struct TrackerParameters
 {
   TrackingMethod method = TrackingMethod::HYPERPLANE;
-  HyperplaneTrackerOptions tracker;
-  TemplateRegistrationOptions registration;
+  bool model_by_data = true;                 ///< model `auto`: EUCLIDEAN where it tells a rotation, else TRANSLATION
+  HyperplaneTrackerOptions tracker;          ///< lengths, and reduction, as of scaleTo()
+  TemplateRegistrationOptions registration;  ///< the same
+  /// Lengths at the target [mm]: of pixels that the tracker works on, about, and what is in pixels in its options.
+  double resolution = 0.25;
+  std::vector<double> ranges{ 10.8, 4.3, 1.35 };
+  double convergence = 0.0135;
+  double max_predicted_sd = 0.08;
+  double registration_range = 8.0;
   std::string detector;            ///< name in the setup file
   std::string setup_file;          ///< path; empty: none
   std::optional<cv::Rect> region;  ///< [px], goes before what the setup file says
@@ -33,6 +41,9 @@ struct TrackerParameters
   double train_timeout = 10.0;     ///< for the exposure that training services wait for [s]
   double image_timeout = 2.0;      ///< without an exposure after which diagnostics say so [s]
   bool overlay_points = true;      ///< whether the debug image shows residuals
+
+  /// Sets the trackers' options to these lengths. @param pixel size of the detector's pixels at the target [mm]
+  void scaleTo(double pixel);
 
   /// @throws std::invalid_argument naming the parameter, its value and what was expected
   void validate() const;

@@ -13,8 +13,8 @@ namespace xray_tracking
 struct ConsistencyOptions
 {
   /// Standard deviation of a track along either pixel axis that the tracker's own covariance does not know of and that
-  /// is new in every exposure [px], > 0.
-  double floor_sigma = 0.5;
+  /// is new in every exposure, at the target [mm], > 0.
+  double floor_sigma = 0.135;
 
   /// Number of exposures whose residuals are averaged, >= 1. A disagreement that stays is found up to sqrt(window)
   /// times smaller than by one exposure alone, `window` exposures after it began.
@@ -24,9 +24,9 @@ struct ConsistencyOptions
   double significance = 0.002;
 
   /// Standard deviation of the part of a track's error that good exposures keep from one to the next, along either
-  /// pixel axis [px], >= 0: surroundings that move otherwise than the target. It does not average out, so it is the
-  /// limit of what the window can find. 0 for a rigid phantom.
-  double persistent_sigma = 0.5;
+  /// pixel axis, at the target [mm], >= 0: surroundings that move otherwise than the target. It does not average out,
+  /// so it is the limit of what the window can find. 0 for a rigid phantom.
+  double persistent_sigma = 0.135;
 
   /// @throws std::invalid_argument naming the key, its value and what was expected
   void validate() const;

@@ -93,6 +93,8 @@ private:
   std::string checkGeometry();
   /// Doubts views whose reference exposure's pose is not known.
   void findReferences();
+  /// The patient was not seen from the first exposure on: it may have moved away from the initial pose.
+  void doubtStart(const ros::Time& from, const ros::Time& to);
   /// How a view tracked an exposure, with what it may have moved by between the views. @param offset of its stamp [ns]
   Track trackOf(std::size_t view, const TrackedRegion& region, std::int64_t offset) const;
   ViewMeasurement measure(std::size_t view) const;
@@ -141,6 +143,7 @@ private:
   std::optional<BeamGateRos> gate_;
   /// Why the pose that all motion is counted from might be wrong, until it is refined; empty if there is no such doubt.
   std::string start_doubt_;
+  std::optional<ros::Time> first_unseen_;  ///< first exposure that showed a view nothing while nothing was measured
   std::optional<PosePredictor> predictor_;
   std::optional<RefinementPolicy> refinement_;
   std::optional<RefinementClient> refinement_client_;

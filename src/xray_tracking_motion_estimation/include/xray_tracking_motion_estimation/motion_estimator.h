@@ -37,10 +37,10 @@ struct MotionEstimationOptions
   /// Probability that a good exposure is refused because its views seem to disagree, in (0, 1).
   double significance = 0.001;
 
-  /// Standard deviation of a track along either pixel axis that the tracker's own covariance does not know of [px], >
-  /// 0: surroundings that move otherwise, blur. Added to every track's covariance in weights, results and the
-  /// consistency gate.
-  double floor_sigma = 0.5;
+  /// Standard deviation of a track along either pixel axis that the tracker's own covariance does not know of, at the
+  /// target [mm], > 0: surroundings that move otherwise, blur. Added to every track's covariance in weights, results
+  /// and the consistency gate.
+  double floor_sigma = 0.135;
 
   /// The same for each of the four numbers of a track's linear part, > 0: what a rotation out of the plane does to a
   /// region whose depth varies, surroundings. 0.01 makes an angle uncertain by 0.4 degrees.
@@ -84,6 +84,7 @@ struct ViewResidual
   Eigen::Vector2d residual = Eigen::Vector2d::Zero();    ///< displacement of the region's centre less estimate [px]
   Eigen::Matrix2d covariance = Eigen::Matrix2d::Zero();  ///< of the displacement, without the floor [px^2]
   Eigen::Matrix<double, 2, 3> jacobian = Eigen::Matrix<double, 2, 3>::Zero();  ///< by the target's centre [px / mm]
+  double pixel = 0.0;                                                          ///< its size at the target [mm]
 };
 
 struct MotionEstimate
@@ -105,9 +106,10 @@ struct MotionEstimate
   /// over the lever from the target to the origin, which may be long.
   Matrix6d pose_covariance = Matrix6d::Zero();
 
-  double disagreement = 0.0;   ///< RMS over the views of the distance between track and reprojected estimate [px]
-  double chi_square = 0.0;     ///< squared residuals in units of track covariance and floor, rotation in its sigma
-  int degrees_of_freedom = 0;  ///< of chi_square: the tracks' parameters less three
+  double disagreement = 0.0;     ///< RMS over the views of the distance between track and reprojected estimate [px]
+  double disagreement_mm = 0.0;  ///< the same at the target [mm]
+  double chi_square = 0.0;       ///< squared residuals in units of track covariance and floor, rotation in its sigma
+  int degrees_of_freedom = 0;    ///< of chi_square: the tracks' parameters less three
   boost::container::static_vector<ViewResidual, kMaxViews> residuals;  ///< of the views that took part
 };
 
@@ -189,6 +191,7 @@ private:
   Matrix6d reference_covariance_ = Matrix6d::Zero();
   Eigen::Vector3d reference_target_;             ///< room [mm]
   std::vector<Eigen::Vector3d> lines_of_sight_;  ///< to the reference target, unit
+  std::vector<double> pixels_;                   ///< their sizes at the reference target [mm]
   std::vector<double> chi_square_limits_;        ///< by degrees of freedom
 };
 }  // namespace xray_tracking

@@ -40,7 +40,7 @@ struct RefinementPolicyOptions
   // Thresholds of ON_DRIFT, each > 0.
   double drift = 3.0;            ///< of the target's centre since the last refinement [mm]
   double drift_rotation = 0.02;  ///< of the target since then [rad]
-  double drift_residual = 1.5;   ///< the views' disagreement [px]
+  double drift_residual = 0.4;   ///< the views' disagreement at the target [mm]
 
   /// A request that is not answered for so long is given up [s], > 0; ON_DRIFT waits so long after a refusal, too.
   double timeout = 2.0;
@@ -66,7 +66,7 @@ struct TrackedExposure
   std::int64_t stamp;                ///< [ns]
   RigidTransform room_from_patient;  ///< the last one known, if it is not measured
   PoseCovariance covariance;
-  double disagreement;   ///< RMS over the views [px]
+  double disagreement;   ///< RMS over the views, at the target [mm]
   bool measured = true;  ///< false: the views contradict each other, or have lost their regions
 };
 

@@ -28,6 +28,7 @@
 #include "xray_tracking_registration/exposure_store.h"
 #include "xray_tracking_registration/registration.h"
 #include "xray_tracking_registration/registration_parameters.h"
+#include "xray_tracking_registration/usable_pixels.h"
 
 namespace xray_tracking
 {
@@ -85,7 +86,7 @@ private:
   /// The registration in use; null if there is none.
   std::shared_ptr<const Registration> currentRegistration();
   /// With all but the start.
-  RegistrationRequest requestFor(const StoredExposure& exposure, Search search, const Progress& progress) const;
+  RegistrationRequest requestFor(const StoredExposure& exposure, Search search, const Progress& progress);
   RefinementResult run(const Registration& registration, const RegistrationRequest& request);
 
   /// Takes the place of the one request; @return false if there is one already
@@ -109,6 +110,7 @@ private:
   // Of the registering thread alone.
   RigidTransform accepted_pose_ = RigidTransform::Identity();  ///< room_from_patient of the last exposure
   RigidTransform target_from_rest_ = RigidTransform::Identity();
+  UsablePixels usable_pixels_;
   ros::Time last_refined_;  ///< exposure of the last refined_pose
 
   std::atomic<bool> stop_{ false };

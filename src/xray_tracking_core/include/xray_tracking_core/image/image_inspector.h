@@ -46,14 +46,9 @@ struct ImageReport
 ///
 /// - Saturation: the largest value, if it is all ones in 8, 10, 12, 14 or 16 bit, or if more pixels pile up at it than
 ///   right below; the smallest one likewise, and whatever is not above the offset.
-/// - The field's border, on means over bins (128 along the longer side): seen from the image's border along a row or a
-///   column, all is dark up to a steep rise by a factor of 3.3 within two bins; and what these enclose away
-///   from the largest bright part. Anatomy is not so steep against what is behind it: the chord of a round body grows
-///   as a root from its edge, and scatter lies over it. What protrudes from the image's border but is thin (a rod, an
-///   instrument) is not the field's border.
+/// - The field's border, and whether there is any: XrayField.
 /// - Stuck: apart from the ring of 16 pixels around it by many times their spread and the image's noise, while all of
 ///   what is connected to it ends as steeply within the ring: a detector's blur lets nothing of the patient do so.
-/// - Nothing: a constant, not above the offset, or bins that do not go together with their neighbours.
 ///
 /// Not thread-safe. No allocation after the first image of a size, but for words if an image shows nothing.
 class ImageInspector
@@ -76,8 +71,4 @@ private:
   struct Implementation;
   std::unique_ptr<Implementation> implementation_;
 };
-
-/// Replaces the STUCK pixels of a report's part by the median of the neighbours without flaws of STUCK and BORDER.
-/// @param image that was inspected, changed in place
-void repairStuckPixels(cv::Mat& image, const ImageReport& report);
 }  // namespace xray_tracking

@@ -1,0 +1,182 @@
+#include "xray_tracking_core/image/xray_field.h"
+
+#include <algorithm>
+#include <sstream>
+#include <stdexcept>
+#include <vector>
+
+#include "field_border.h"
+#include "image_bins.h"
+
+namespace xray_tracking
+{
+namespace
+{
+constexpr int kLeastSize = 16;  // of an image [px]
+constexpr double kLeastField = 0.01;
+/// Bins of a real image go together by 0.9 and more, of noise alone, even if it is correlated over pixels, hardly.
+constexpr double kLeastCorrelation = 0.3;
+constexpr float kLeastLevel = 2.f;  // of the brightest bins, in standard deviations of a pixel
+
+std::string nothingIn(const ImageBins& bins, const IntensityModel& intensity)
+{
+  const auto nothing = [](const auto&... words)
+  {
+    std::ostringstream text;
+    text << "the image shows nothing";
+    (text << ... << words);
+    return text.str();
+  };
+  if (bins.largest() == bins.smallest())
+  {
+    return nothing(": it is ", bins.largest(), " everywhere");
+  }
+  if (intensity.kind == IntensityModel::Kind::COUNTS && bins.brightest() <= kLeastLevel * bins.noise())
+  {
+    return nothing(": its brightest part is ", bins.brightest(), " counts above the offset of ", intensity.offset,
+                   ", with noise of ", bins.noise());
+  }
+  return bins.correlation() < kLeastCorrelation ? nothing(" but noise") : std::string();
+}
+}  // namespace
+
+struct XrayField::Implementation
+{
+  explicit Implementation(int number_of_bins) : bins(number_of_bins) {}
+
+  ImageBins bins;
+  FieldBorder border;
+  std::string nothing;
+
+  /// The bins that a part of the image touches.
+  cv::Rect binsOf(const cv::Rect& part) const
+  {
+    const int edge = bins.edge();
+    const cv::Point first(part.x / edge, part.y / edge);
+    return { first, cv::Point((part.x + part.width - 1) / edge + 1, (part.y + part.height - 1) / edge + 1) };
+  }
+  cv::Rect pixelsOf(const cv::Rect& of_bins) const
+  {
+    const int edge = bins.edge();
+    return { of_bins.x * edge, of_bins.y * edge, of_bins.width * edge, of_bins.height * edge };
+  }
+};
+
+XrayField::XrayField(int bins) : implementation_(std::make_unique<Implementation>(bins)) {}
+XrayField::~XrayField() = default;
+XrayField::XrayField(XrayField&&) noexcept = default;
+XrayField& XrayField::operator=(XrayField&&) noexcept = default;
+
+void XrayField::update(const cv::Mat& image, const IntensityModel& intensity)
+{
+  if (image.dims != 2 || image.cols < kLeastSize || image.rows < kLeastSize ||
+      (image.type() != CV_8UC1 && image.type() != CV_16UC1 && image.type() != CV_32FC1))
+  {
+    throw std::invalid_argument("image: is " + std::to_string(image.cols) + " x " + std::to_string(image.rows) +
+                                " of OpenCV type " + std::to_string(image.type()) +
+                                ", expected one channel of 8 or 16 bit or float, 16 x 16 pixels or more");
+  }
+  Implementation& i = *implementation_;
+  i.bins.update(image, intensity);
+  i.nothing = nothingIn(i.bins, intensity);
+  if (!i.nothing.empty())
+  {
+    i.border.close(i.bins);
+    return;
+  }
+  i.border.update(i.bins);
+  if (i.border.any() &&
+      cv::countNonZero(i.border.outside()) > (1.0 - kLeastField) * static_cast<double>(i.border.outside().total()))
+  {
+    i.nothing = "the image shows nothing: all of it is outside the field";
+    i.border.close(i.bins);
+  }
+}
+
+const std::string& XrayField::nothing() const
+{
+  return implementation_->nothing;
+}
+
+double XrayField::largest() const
+{
+  return implementation_->bins.largest();
+}
+
+double XrayField::smallest() const
+{
+  return implementation_->bins.smallest();
+}
+
+double XrayField::outside(const cv::Rect& part) const
+{
+  const Implementation& i = *implementation_;
+  const cv::Mat& outside = i.border.outside();
+  const cv::Rect all = i.binsOf(part);
+  const cv::Rect seen = all & cv::Rect(cv::Point(), outside.size());
+  if (seen.empty())
+  {
+    return 1.0;
+  }
+  const int inside = i.border.any() ? seen.area() - cv::countNonZero(outside(seen)) : seen.area();
+  return 1.0 - inside / static_cast<double>(all.area());
+}
+
+cv::Rect XrayField::inside(const cv::Rect& part) const
+{
+  const Implementation& i = *implementation_;
+  const cv::Mat& outside = i.border.outside();
+  if (!i.border.any())
+  {
+    return part;
+  }
+  // Of every row, the columns of free bins that end there are a histogram; its largest rectangle.
+  const cv::Rect bins = i.binsOf(part) & cv::Rect(cv::Point(), outside.size());
+  std::vector<int> heights(static_cast<std::size_t>(bins.width), 0);
+  cv::Rect largest;
+  for (int y = bins.y; y < bins.br().y; ++y)
+  {
+    for (int x = 0; x < bins.width; ++x)
+    {
+      int& height = heights[static_cast<std::size_t>(x)];
+      height = outside.at<std::uint8_t>(y, bins.x + x) == 0 ? height + 1 : 0;
+    }
+    for (int first = 0; first < bins.width; ++first)
+    {
+      int height = bins.height;
+      for (int last = first; last < bins.width; ++last)
+      {
+        height = std::min(height, heights[static_cast<std::size_t>(last)]);
+        const cv::Rect pixels = i.pixelsOf({ bins.x + first, y - height + 1, last - first + 1, height }) & part;
+        largest = pixels.area() > largest.area() ? pixels : largest;
+      }
+    }
+  }
+  return largest;
+}
+
+void XrayField::mark(const cv::Rect& part, std::uint8_t bits, cv::Mat& pixels) const
+{
+  const Implementation& i = *implementation_;
+  if (!i.border.any())
+  {
+    return;
+  }
+  const int edge = i.bins.edge();
+  for (int y = 0; y < part.height; ++y)
+  {
+    const std::uint8_t* outside = i.border.outside().ptr((part.y + y) / edge);
+    std::uint8_t* row = pixels.ptr(y);
+    for (int x = 0; x < part.width;)
+    {
+      const int bin = (part.x + x) / edge;
+      const int end = std::min(part.width, (bin + 1) * edge - part.x);
+      const std::uint8_t marks = outside[bin] != 0 ? bits : 0;
+      for (; x < end; ++x)
+      {
+        row[x] |= marks;
+      }
+    }
+  }
+}
+}  // namespace xray_tracking

@@ -1,0 +1,47 @@
+#include "xray_tracking_registration/usable_pixels.h"
+
+#include <optional>
+#include <stdexcept>
+
+#include "message.h"
+#include "xray_tracking_core/image/image_inspector.h"
+
+namespace xray_tracking
+{
+void UsablePixels::apply(std::int64_t stamp_ns, RegistrationRequest& request)
+{
+  for (RegistrationView& view : request.views)
+  {
+    Detector& detector = detectors_[view.geometry.name()];
+    detector.field.update(view.image, request.intensity);
+    if (!detector.field.nothing().empty())
+    {
+      throw std::invalid_argument(message("view ", view.geometry.name(), ": ", detector.field.nothing()));
+    }
+    const std::optional<std::int64_t> before = detector.repeated.add(view.image, stamp_ns);
+    if (before && *before != stamp_ns)
+    {
+      throw std::invalid_argument(message("view ", view.geometry.name(), ": the image is, bit for bit, that of ",
+                                          1e-9 * static_cast<double>(stamp_ns - *before), " s before"));
+    }
+    if (!detector.inspected)
+    {
+      detector.repair.add(ImageInspector().inspect(view.image, request.intensity), view.image.size());
+      detector.inspected = true;
+    }
+    const cv::Rect whole(cv::Point(), view.image.size());
+    if (detector.field.outside(whole) > 0.0)
+    {
+      cv::Mat outside = cv::Mat::zeros(view.image.size(), CV_8UC1);
+      detector.field.mark(whole, 1, outside);
+      view.usable = outside == 0;
+    }
+    if (!detector.repair.empty())
+    {
+      cv::Mat repaired;
+      detector.repair.apply(view.image, repaired);
+      view.image = repaired;
+    }
+  }
+}
+}  // namespace xray_tracking
