@@ -165,6 +165,11 @@ private:
     {
       best = descendFrom(run, start, result);
     }
+    if (best.doubt.empty() && run.control.atBounds(best.poses.target))
+    {
+      best.doubt = message("it ends at the bounds of ", request.max_translation_mm, " mm and ",
+                           request.max_rotation_rad, " rad from the start");
+    }
     result.room_from_patient = best.poses.target;
     if (!bodies_->one)
     {

@@ -56,6 +56,15 @@ public:
            rotationAngle(motion) <= request_.max_rotation_rad;
   }
 
+  /// Whether a pose may be where the bounds held it up, as steps beyond are not taken.
+  bool atBounds(const RigidTransform& room_from_patient) const
+  {
+    constexpr double kNear = 0.95;
+    const RigidTransform motion = request_.room_from_patient.inverse() * room_from_patient;
+    return distance(room_from_patient) > kNear * request_.max_translation_mm ||
+           rotationAngle(motion) > kNear * request_.max_rotation_rad;
+  }
+
   Stop stop() const { return stop_; }
 
   int level = 0;

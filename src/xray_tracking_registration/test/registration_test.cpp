@@ -333,6 +333,8 @@ TEST(Registration, StaysWithinBounds)
   const RegistrationResult result = twoBodies().run(exposure.request);
   const Eigen::Vector3d centre = phantom().centre();
   EXPECT_LE((result.room_from_patient * centre - exposure.request.room_from_patient * centre).norm(), 0.5 + 1e-9);
+  // Held up by them: nobody knows whether the target is there.
+  EXPECT_NE(result.status, RegistrationStatus::SUCCESS);
 }
 
 TEST(Registration, BadRequestsAreAnsweredAndTheNextOneWorks)
