@@ -197,9 +197,16 @@ private:
     }
   }
 
+  /// Whether what was found is like no other vertebra.
+  static bool isSure(const Outcome& outcome)
+  {
+    return std::min(outcome.figures.least_similarity, outcome.figures.least_coarse_similarity) >= kSure;
+  }
+
   /// Descends from a start that is about right.
   Outcome descendFrom(const Run& run, const PosePair& start, RegistrationResult& result) const
   {
+    const RegistrationRequest& request = run.request;
     const Linearisation before = linearise(descender_->makeViews(run, start, kFine), *bodies_, start, Moving::TARGET);
     result.similarity_before = before.meanSimilarity();
     // What cannot be compared at the start is the request's fault, later on a descent's: refused as INVALID here alone.
@@ -215,17 +222,22 @@ private:
     {
       return best;
     }
-    const auto failed = [&] { return !best.doubt.empty() && run.control.stop() == RunControl::Stop::NONE; };
-    if (failed())
+    const auto stopped = [&] { return run.control.stop() != RunControl::Stop::NONE; };
+    const auto failed = [&] { return !best.doubt.empty() && !stopped(); };
+    if (failed() || (!request.start_verified && !isSure(best)))
     {
-      best = descender_->descend(run, start, Path::COARSE);
-    }
-    if (descender_->moving() == Moving::BOTH && failed())
-    {
-      Outcome outcome = descender_->descend(run, start, Path::MEDIUM);
-      if (outcome.similarity > best.similarity)
+      // One is led by what most of the images show, the other by the start: neither is always right.
+      for (const Path path : { Path::MEDIUM, Path::COARSE })
       {
-        best = std::move(outcome);
+        if (stopped() || (path == Path::MEDIUM && descender_->moving() != Moving::BOTH))
+        {
+          continue;
+        }
+        Outcome outcome = descender_->descend(run, start, path);
+        if (outcome.similarity > best.similarity)
+        {
+          best = std::move(outcome);
+        }
       }
     }
     if (failed())
@@ -259,9 +271,7 @@ private:
     }
     for (const double side : { 0.0, -kNeighbour, kNeighbour })
     {
-      const BeliefFigures& figures = best.figures;
-      if (std::min(figures.least_similarity, figures.least_coarse_similarity) >= kSure || !best.doubt.empty() ||
-          run.control.stop() != RunControl::Stop::NONE)
+      if (isSure(best) || !best.doubt.empty() || run.control.stop() != RunControl::Stop::NONE)
       {
         return;
       }

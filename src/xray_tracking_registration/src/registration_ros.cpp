@@ -16,6 +16,8 @@ namespace
 constexpr std::uint32_t kThreads = 4;
 /// Slices as thin as the pixels.
 const PhantomCtOptions kPhantomCt{ { 200, 200, 200 }, { 1.0, 1.0, 1.0 }, 1.0 };
+/// Of a start from the last believed pose: half of what the vertebrae of a neck are apart [mm].
+constexpr double kSameVertebra = 9.0;
 constexpr const char* kStopping = "the node is shutting down";
 
 }  // namespace
@@ -259,6 +261,7 @@ void RegistrationRos::noteRestart()
     ROS_WARN_STREAM("exposures start again: forgetting the earlier ones");
     accepted_pose_ = setup_.room_from_patient;
     target_from_rest_ = RigidTransform::Identity();
+    believed_pose_.reset();
     usable_pixels_.reset();
     last_refined_ = ros::Time();
   }
@@ -300,6 +303,7 @@ std::shared_ptr<const Registration> RegistrationRos::currentRegistration()
   if (std::exchange(volume_is_new_, false))
   {
     target_from_rest_ = RigidTransform::Identity();
+    believed_pose_.reset();
   }
   return registration_;
 }
@@ -320,13 +324,16 @@ RegistrationRequest RegistrationRos::requestFor(const StoredExposure& exposure, 
   return request;
 }
 
-RegistrationRos::RefinementResult RegistrationRos::run(const Registration& registration,
-                                                       const RegistrationRequest& request)
+RegistrationRos::RefinementResult RegistrationRos::run(const Registration& registration, RegistrationRequest request)
 {
+  const Eigen::Vector3d centre = setup_.targetCentre();
+  request.start_verified =
+      believed_pose_ && (request.room_from_patient * centre - *believed_pose_ * centre).norm() < kSameVertebra;
   const RegistrationResult result = registration.run(request);
   if (result.status == RegistrationStatus::SUCCESS)
   {
     target_from_rest_ = result.target_from_rest;
+    believed_pose_ = result.room_from_patient;
   }
   return resultMessage(result, setup_.targetCentre());
 }

@@ -87,7 +87,7 @@ private:
   std::shared_ptr<const Registration> currentRegistration();
   /// With all but the start.
   RegistrationRequest requestFor(const StoredExposure& exposure, Search search, const Progress& progress);
-  RefinementResult run(const Registration& registration, const RegistrationRequest& request);
+  RefinementResult run(const Registration& registration, RegistrationRequest request);
 
   /// Takes the place of the one request; @return false if there is one already
   bool claim(Job job);
@@ -110,6 +110,7 @@ private:
   // Of the registering thread alone.
   RigidTransform accepted_pose_ = RigidTransform::Identity();  ///< room_from_patient of the last exposure
   RigidTransform target_from_rest_ = RigidTransform::Identity();
+  std::optional<RigidTransform> believed_pose_;  ///< the last one, whoever asked
   UsablePixels usable_pixels_;
   ros::Time last_refined_;  ///< exposure of the last refined_pose
 
