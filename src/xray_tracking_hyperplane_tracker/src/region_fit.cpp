@@ -200,12 +200,12 @@ ParameterCovariance RegionFit::covariance(Noise noise, double missing)
   // So many tiles that tell as much as these would tell if all told the same.
   const auto told = information_[noise] * weights_.cast<double>();
   const double tiles = told.sum() * told.sum() / std::max(told.square().sum(), 1e-30);
-  // What one of them (and one more for each parameter beside the translation, as measured) tells of the motion has gone
+  // What one of them tells of the motion, as measured, has gone
   // into it, and is not left in their residuals. Their sums are as good as independent ones of 1 / 2.25 of the tiles'
   // number; of so few, the inverse of the displacement's covariance is too large.
   const double independent = tiles / 2.25;
   const double freedom =
-      tiles / std::max(1.0, tiles + 1.0 - p) * independent / std::max(1.0, independent - 3.0) / noise_seen_;
+      tiles / std::max(1.0, tiles - 1.0) * independent / std::max(1.0, independent - 3.0) / noise_seen_;
   return freedom * (inverse_[noise] * scatter * inverse_[noise].transpose()).topLeftCorner(p, p);
 }
 
