@@ -1,5 +1,7 @@
 #include "bodies.h"
 
+#include <cmath>
+#include <numeric>
 #include <stdexcept>
 #include <utility>
 
@@ -11,6 +13,15 @@ namespace xray_tracking
 namespace
 {
 constexpr double kFineVoxel = 1.2;  // edge up to which the rest's voxels are halved [mm]
+
+constexpr double kNextToNothing = 0.02;
+
+/// Attenuation times volume.
+double amountOf(const ScalarVolume& volume)
+{
+  return std::accumulate(volume.values.begin(), volume.values.end(), 0.0) *
+         std::abs(volume.grid.patient_from_index.linear().determinant());
+}
 
 /// Calls visit(offset in the volume, weight) for every voxel of the mask, whose grid is a part of the volume's.
 template <typename Visit>
@@ -56,6 +67,7 @@ Bodies::Bodies(const BodyModel& model, const Eigen::AlignedBox3d& target_box, do
     target = std::make_unique<BodyRenderer>(std::move(inside), footprint, 1.0, projector);
     forVoxels(smooth.grid, targetMaskFromBox(smooth.grid, target_box),
               [&](std::size_t offset, float weight) { smooth.values[offset] *= 1.0f - weight; });
+    surrounded = amountOf(smooth) > kNextToNothing * amountOf(model.target);
   }
   else
   {

@@ -21,8 +21,9 @@ struct Bodies
 
   std::unique_ptr<const BodyRenderer> target;
   std::unique_ptr<const BodyRenderer> rest;
-  Eigen::Vector3d centre;  ///< of the target, patient frame [mm]
-  bool one;                ///< poses are the same
+  Eigen::Vector3d centre;   ///< of the target, patient frame [mm]
+  bool one;                 ///< poses are the same
+  bool surrounded = false;  ///< one body, with more of the CT around the target than next to nothing
   CtEnds target_ends;
   CtEnds rest_ends;
 };
