@@ -212,12 +212,12 @@ private:
     // What cannot be compared at the start is the request's fault, later on a descent's: refused as INVALID here alone.
     descender_->makeViews(run, start, kCoarse);
 
-    const bool near = options_.optimiser == Optimiser::GAUSS_NEWTON &&
-                      *std::min_element(before.similarity.begin(), before.similarity.end()) >= kNearlyThere;
-    Outcome best = descender_->descend(run, start,
-                                       options_.optimiser != Optimiser::GAUSS_NEWTON ? Path::COARSE
-                                       : near                                        ? Path::FINE
-                                                                                     : Path::SHIFT);
+    const bool near = *std::min_element(before.similarity.begin(), before.similarity.end()) >= kNearlyThere;
+    const Path first = options_.optimiser != Optimiser::GAUSS_NEWTON ? Path::COARSE
+                       : near                                        ? Path::FINE
+                       : request.start_verified                      ? Path::SHIFT
+                                                                     : Path::COARSE;
+    Outcome best = descender_->descend(run, start, first);
     if (options_.optimiser != Optimiser::GAUSS_NEWTON)
     {
       return best;
@@ -229,7 +229,7 @@ private:
       // One is led by what most of the images show, the other by the start: neither is always right.
       for (const Path path : { Path::MEDIUM, Path::COARSE })
       {
-        if (stopped() || (path == Path::MEDIUM && descender_->moving() != Moving::BOTH))
+        if (stopped() || path == first || (path == Path::MEDIUM && descender_->moving() != Moving::BOTH))
         {
           continue;
         }

@@ -142,7 +142,7 @@ TEST(Registration, OneBodyIsDoubtedWhereTheRestMovesOtherwise)
   int far = 0, doubted = 0;
   for (int n = 0; n < 24; ++n)
   {
-    const KnownExposure exposure = randomExposure({ 2.0, 1.0, 6.0, 3.0 }, random);
+    const KnownExposure exposure = randomExposure({ 2.0, 1.0, 14.0, 6.0 }, random);
     const RegistrationResult result = one.run(exposure.request);
     doubted += result.status != RegistrationStatus::SUCCESS ? 1 : 0;
     if (error(result, exposure.gold) > 1.5)
