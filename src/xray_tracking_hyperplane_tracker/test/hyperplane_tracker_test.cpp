@@ -18,8 +18,8 @@ namespace
 {
 const cv::Rect kRegion(70, 55, 100, 90);
 
-/// Of exposures without noise [px]: what sampling between pixels and the last step's tolerance may leave, and that dense
-/// texture's finest part is taken for noise, as there is none else.
+/// Of exposures without noise [px]: what sampling between pixels and the last step's tolerance may leave, and that
+/// dense texture's finest part is taken for noise, as there is none else.
 constexpr double kInterpolation = 0.01;
 
 IntensityModel counts(double offset = kOffset)

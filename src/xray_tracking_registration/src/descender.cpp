@@ -1,6 +1,7 @@
 #include "descender.h"
 
 #include <algorithm>
+#include <cmath>
 #include <stdexcept>
 
 #include "belief.h"
@@ -29,19 +30,26 @@ const Twist kRestInformation =
 /// A rival with more than this share of an outcome's similarity is as good. The right place's rivals have 0.2 to 0.6 of
 /// it (phantom, thorax), 0.69 (wrist), 0.85 where the next vertebra is most like it.
 constexpr double kAsGood = 0.85;
-/// What two bodies may differ by from one body that is believed [mm].
 /// Wrong results of one body, where the rest had moved by 14 mm, reach 0.62 and look right otherwise (phantom, C3 to
 /// C5).
 constexpr double kOneBody = 0.7;
+/// What two bodies may differ by from one body that is believed [mm].
 constexpr double kMaxParted = 0.8;
 }  // namespace
+
+void doubtFor(std::string reason, Outcome& outcome)
+{
+  outcome.doubt = std::move(reason);
+  outcome.probability = std::min(outcome.probability, 0.5);
+}
 
 void doubtIfRivalled(const Rival& rival, Outcome& outcome)
 {
   if (outcome.doubt.empty() && rival.similarity > kAsGood * outcome.similarity)
   {
-    outcome.doubt = message("a place ", rival.distance_mm, " mm and ", rival.rotation_rad,
-                            " rad away is as similar: ", rival.similarity, ", here ", outcome.similarity);
+    doubtFor(message("a place ", rival.distance_mm, " mm and ", rival.rotation_rad,
+                     " rad away is as similar: ", rival.similarity, ", here ", outcome.similarity),
+             outcome);
   }
 }
 
@@ -185,15 +193,25 @@ void Descender::judge(const Run& run, const RestPrior& prior, const std::vector<
   figures.rival = distinctness.rival;
   figures.distinctness = distinctness.z;
   outcome.probability = probabilityOf(figures);
-  if (outcome.probability < options_.min_probability)
+  const bool known = outcome.covariance.allFinite() &&
+                     std::all_of(outcome.views.begin(), outcome.views.end(),
+                                 [](const ViewResidual& view)
+                                 { return std::isfinite(view.similarity + view.coarse_similarity + view.pull_mm); });
+  if (!known)
+  {
+    outcome.probability = 0.0;
+    outcome.doubt = "its figures are not finite";
+  }
+  else if (outcome.probability < options_.min_probability)
   {
     outcome.doubt = message("probability is ", outcome.probability, ", below ", options_.min_probability,
                             "; what speaks against it most is the ", mostDoubtful(figures));
   }
   else if (bodies_.surrounded && figures.least_similarity < kOneBody)
   {
-    outcome.doubt = message("similarity is ", figures.least_similarity, ", below the ", kOneBody,
-                            " that is asked for where the rest of the body is taken to move as the target");
+    doubtFor(message("similarity is ", figures.least_similarity, ", below the ", kOneBody,
+                     " that is asked for where the rest of the body is taken to move as the target"),
+             outcome);
   }
   else if (bodies_.one)
   {
@@ -202,7 +220,7 @@ void Descender::judge(const Run& run, const RestPrior& prior, const std::vector<
     const double parted = targetRegistrationError(apart.target, poses.target, box_);
     if (parted > kMaxParted)
     {
-      outcome.doubt = message("two bodies would have the target ", parted, " mm elsewhere, above ", kMaxParted);
+      doubtFor(message("two bodies would have the target ", parted, " mm elsewhere, above ", kMaxParted), outcome);
     }
   }
 }

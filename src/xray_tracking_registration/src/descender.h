@@ -37,6 +37,8 @@ struct Outcome
   std::string doubt;         ///< why it is not to be believed; empty if it is
 };
 
+/// Doubts an outcome for a reason that its probability does not know of: then it is as likely wrong as right, at best.
+void doubtFor(std::string reason, Outcome& outcome);
 /// Doubts an outcome that a rival is as good as.
 void doubtIfRivalled(const Rival& rival, Outcome& outcome);
 

@@ -160,7 +160,17 @@ NormalEquations normalEquations(const std::vector<ViewLevel>& views, const Linea
     equations.gradient += part.gradient;
     const auto k = twists + static_cast<Eigen::Index>(v);
     equations.information(k, k) += kSaturationInformation;
-    equations.gradient[k] += kSaturationInformation * (kUsualSaturation - poses.saturationOf(v));
+    const double saturation = poses.saturationOf(v);
+    equations.gradient[k] += kSaturationInformation * (kUsualSaturation - saturation);
+    if ((saturation <= 0.0 && equations.gradient[k] < 0.0) ||
+        (saturation >= kMaxSaturation && equations.gradient[k] > 0.0))
+    {
+      // Held at its bound: the twists are not to make up for a step that is not taken.
+      equations.information.row(k).setZero();
+      equations.information.col(k).setZero();
+      equations.information(k, k) = 1.0;
+      equations.gradient[k] = 0.0;
+    }
   }
   if (twists == 12)
   {

@@ -97,7 +97,7 @@ ViewLevel::ViewLevel(const ProjectionGeometry& geometry, const cv::Mat& attenuat
     cv::Mat used;
     cv::Mat weight;
     attenuation(pixels).copyTo(used, usable(pixels));
-    usable(pixels).convertTo(weight, CV_32F, 1.0 / 255.0);
+    cv::Mat(usable(pixels) != 0).convertTo(weight, CV_32F, 1.0 / 255.0);
     cv::resize(used, binned, bordered.size(), 0.0, 0.0, cv::INTER_AREA);
     cv::resize(weight, shares, bordered.size(), 0.0, 0.0, cv::INTER_AREA);
     binned /= cv::max(shares, 1e-3);

@@ -379,6 +379,10 @@ std::vector<Place> PoseSearch::places(std::size_t count) const
     run_.control.renderings += static_cast<int>(end - first) - 1;
     tbb::parallel_for(first, end, [&](std::size_t rotation) { found[rotation] = peaks(rotation); });
   }
+  if (run_.control.stop() != RunControl::Stop::NONE)
+  {
+    return {};
+  }
   std::vector<Peak> all;
   for (const std::vector<Peak>& peaks : found)
   {

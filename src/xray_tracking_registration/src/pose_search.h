@@ -33,7 +33,7 @@ public:
   PoseSearch(const Run& run, const Bodies& bodies, const Eigen::AlignedBox3d& target_box, const PosePair& start,
              const SearchBounds& bounds, Moving together);
 
-  /// The most similar places, best first, each apart from the others; `count` at most. Fewer if the run's control says
+  /// The most similar places, best first, each apart from the others; `count` at most. None if the run's control says
   /// stop.
   std::vector<Place> places(std::size_t count) const;
 

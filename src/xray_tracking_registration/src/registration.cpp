@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 #include <stdexcept>
 
 #include "xray_tracking_core/evaluation/evaluation.h"
@@ -167,9 +168,11 @@ private:
     }
     if (best.doubt.empty() && run.control.atBounds(best.poses.target))
     {
-      best.doubt = message("it ends at the bounds of ", request.max_translation_mm, " mm and ",
-                           request.max_rotation_rad, " rad from the start");
+      doubtFor(message("it ends at the bounds of ", request.max_translation_mm, " mm and ", request.max_rotation_rad,
+                       " rad from the start"),
+               best);
     }
+    result.rivals = rivalsOf(best, std::move(result.rivals));
     result.room_from_patient = best.poses.target;
     if (!bodies_->one)
     {
@@ -177,7 +180,7 @@ private:
     }
     result.covariance = best.covariance;
     result.figures = best.figures;
-    result.probability = best.doubt.empty() ? best.probability : std::min(best.probability, options_.min_probability);
+    result.probability = best.probability;
     result.similarity_after = best.similarity;
     result.views = best.views;
     switch (run.control.stop())
@@ -197,6 +200,22 @@ private:
     }
   }
 
+  /// The other places as the answer has them, most similar first: it may have become another one since they were found.
+  std::vector<Rival> rivalsOf(const Outcome& answer, std::vector<Rival> others) const
+  {
+    for (Rival& other : others)
+    {
+      other.distance_mm = targetRegistrationError(other.room_from_patient, answer.poses.target, box_);
+      other.rotation_rad = rotationAngle(answer.poses.target.inverse() * other.room_from_patient);
+    }
+    others.erase(
+        std::remove_if(others.begin(), others.end(), [](const Rival& other) { return other.distance_mm < kElsewhere; }),
+        others.end());
+    std::stable_sort(others.begin(), others.end(),
+                     [](const Rival& a, const Rival& b) { return a.similarity > b.similarity; });
+    return others;
+  }
+
   /// Whether what was found is like no other vertebra.
   static bool isSure(const Outcome& outcome)
   {
@@ -207,12 +226,12 @@ private:
   Outcome descendFrom(const Run& run, const PosePair& start, RegistrationResult& result) const
   {
     const RegistrationRequest& request = run.request;
-    const Linearisation before = linearise(descender_->makeViews(run, start, kFine), *bodies_, start, Moving::TARGET);
-    result.similarity_before = before.meanSimilarity();
+    const std::vector<double> before = similarities(descender_->makeViews(run, start, kFine), *bodies_, start);
+    result.similarity_before = std::accumulate(before.begin(), before.end(), 0.0) / static_cast<double>(before.size());
     // What cannot be compared at the start is the request's fault, later on a descent's: refused as INVALID here alone.
     descender_->makeViews(run, start, kCoarse);
 
-    const bool near = *std::min_element(before.similarity.begin(), before.similarity.end()) >= kNearlyThere;
+    const bool near = *std::min_element(before.begin(), before.end()) >= kNearlyThere;
     const Path first = options_.optimiser != Optimiser::GAUSS_NEWTON ? Path::COARSE
                        : near                                        ? Path::FINE
                        : request.start_verified                      ? Path::SHIFT

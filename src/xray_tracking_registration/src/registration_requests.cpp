@@ -164,9 +164,13 @@ RegistrationRos::RefinementResult RegistrationRos::refineRequest(const Refinemen
     {
       return resultMessage(stop_ || cancel_ ? RefinementResult::CANCELLED : RefinementResult::NO_EXPOSURE, reason);
     }
-    RegistrationRequest request = requestFor(exposure, searchOf(message), progress);
+    // Images that are brought along have nothing to do with what the detectors send.
+    UsablePixels own;
+    const bool kept = message.images.empty();
+    RegistrationRequest request = requestFor(exposure, searchOf(message), kept ? usable_pixels_ : own, progress);
     applyRequest(message, request);
-    return run(*registration, request);
+    return run(*registration, request,
+               kept ? std::optional<ros::Time>(exposure.images.front()->header.stamp) : std::nullopt);
   }
   catch (const std::exception& error)
   {

@@ -18,6 +18,7 @@ constexpr std::uint32_t kThreads = 4;
 const PhantomCtOptions kPhantomCt{ { 200, 200, 200 }, { 1.0, 1.0, 1.0 }, 1.0 };
 /// Of a start from the last believed pose: half of what the vertebrae of a neck are apart [mm].
 constexpr double kSameVertebra = 9.0;
+constexpr double kShortly = 5.0;  // after a believed pose, nobody has been set up anew [s]
 constexpr const char* kStopping = "the node is shutting down";
 
 }  // namespace
@@ -282,9 +283,9 @@ RegistrationRos::RefinementResult RegistrationRos::refineExposure(const Exposure
   try
   {
     RegistrationRequest request =
-        requestFor(due.exposure, Search::NEAR, [this](const RegistrationProgress&) { return !stop_; });
+        requestFor(due.exposure, Search::NEAR, usable_pixels_, [this](const RegistrationProgress&) { return !stop_; });
     request.room_from_patient = accepted_pose_;
-    const RefinementResult result = run(*registration, request);
+    const RefinementResult result = run(*registration, request, due.stamp);
     if (result.status == RefinementResult::SUCCESS)
     {
       accepted_pose_ = rigidFromPoseMsg(result.pose.pose);
@@ -308,12 +309,13 @@ std::shared_ptr<const Registration> RegistrationRos::currentRegistration()
   return registration_;
 }
 
-RegistrationRequest RegistrationRos::requestFor(const StoredExposure& exposure, Search search, const Progress& progress)
+RegistrationRequest RegistrationRos::requestFor(const StoredExposure& exposure, Search search, UsablePixels& usable,
+                                                const Progress& progress) const
 {
   RegistrationRequest request;
   request.views = viewsOf(exposure, setup_, tf_buffer_);
   request.intensity = setup_.intensity;
-  usable_pixels_.apply(static_cast<std::int64_t>(exposure.images.front()->header.stamp.toNSec()), request);
+  usable.apply(static_cast<std::int64_t>(exposure.images.front()->header.stamp.toNSec()), request);
   request.target_from_rest = target_from_rest_;
   const bool wide = search == Search::WIDE;
   request.search = search;
@@ -324,16 +326,25 @@ RegistrationRequest RegistrationRos::requestFor(const StoredExposure& exposure, 
   return request;
 }
 
-RegistrationRos::RefinementResult RegistrationRos::run(const Registration& registration, RegistrationRequest request)
+RegistrationRos::RefinementResult RegistrationRos::run(const Registration& registration, RegistrationRequest request,
+                                                       const std::optional<ros::Time>& stamp)
 {
   const Eigen::Vector3d centre = setup_.targetCentre();
-  request.start_verified =
-      believed_pose_ && (request.room_from_patient * centre - *believed_pose_ * centre).norm() < kSameVertebra;
+  if (stamp && believed_pose_)
+  {
+    // As doubles: what lies too far apart for a ros::Duration is to be no error.
+    const double since = stamp->toSec() - believed_pose_->stamp.toSec();
+    const double moved = (request.room_from_patient * centre - believed_pose_->room_from_patient * centre).norm();
+    request.start_verified = since >= 0.0 && since <= kShortly && moved < kSameVertebra;
+  }
   const RegistrationResult result = registration.run(request);
   if (result.status == RegistrationStatus::SUCCESS)
   {
     target_from_rest_ = result.target_from_rest;
-    believed_pose_ = result.room_from_patient;
+    if (stamp)
+    {
+      believed_pose_ = BelievedPose{ result.room_from_patient, *stamp };
+    }
   }
   return resultMessage(result, setup_.targetCentre());
 }

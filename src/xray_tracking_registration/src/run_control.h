@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <chrono>
 #include <limits>
 #include <string>
@@ -59,10 +60,14 @@ public:
   /// Whether a pose may be where the bounds held it up, as steps beyond are not taken.
   bool atBounds(const RigidTransform& room_from_patient) const
   {
+    // Of small bounds a share, lest a pose well inside be taken for one.
     constexpr double kNear = 0.95;
+    constexpr double kNearMm = 0.5;
+    constexpr double kNearRad = 0.01;
     const RigidTransform motion = request_.room_from_patient.inverse() * room_from_patient;
-    return distance(room_from_patient) > kNear * request_.max_translation_mm ||
-           rotationAngle(motion) > kNear * request_.max_rotation_rad;
+    const double reach = std::max(kNear * request_.max_translation_mm, request_.max_translation_mm - kNearMm);
+    const double turn = std::max(kNear * request_.max_rotation_rad, request_.max_rotation_rad - kNearRad);
+    return distance(room_from_patient) > reach || rotationAngle(motion) > turn;
   }
 
   Stop stop() const { return stop_; }

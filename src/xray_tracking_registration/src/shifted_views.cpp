@@ -11,12 +11,14 @@ namespace xray_tracking
 {
 namespace
 {
-constexpr double kReach = 25.0;      // of other places [mm]
-constexpr double kStep = 2.0;        // between them [mm]
-constexpr double kElsewhere = 5.0;   // wider than the peak of any structure that is compared [mm]
-constexpr double kShiftStep = 1.0;   // of a shift that is looked for [mm]
-constexpr double kShortest = 0.05;   // of correlation, that a shift by the reach has to be better by
-constexpr float kLeastShare = 0.5f;  // of a model's bins that have to be usable where it is slid to
+constexpr double kReach = 25.0;          // of other places [mm]
+constexpr double kStep = 2.0;            // between them [mm]
+constexpr double kElsewhere = 5.0;       // wider than the peak of any structure that is compared [mm]
+constexpr double kShiftStep = 1.0;       // of a shift that is looked for [mm]
+constexpr double kShortest = 0.05;       // of correlation, that a shift by the reach has to be better by
+constexpr int kLeastPlaces = 100;        // to tell how different places are
+constexpr double kLeastVariance = 1e-4;  // of correlations, of which the smallest that were met have 1e-3
+constexpr float kLeastShare = 0.5f;      // of a model's bins that have to be usable where it is slid to
 
 /// Calls visit(shift) for a cubic grid of shifts.
 template <typename Visit>
@@ -144,9 +146,9 @@ Distinctness distinctnessOf(const Run& run, const Bodies& bodies, const std::vec
               });
     const double mean = sum / std::max(places, 1);
     const double variance = squares / std::max(places, 1) - mean * mean;
-    if (variance > 0.0)
+    if (places >= kLeastPlaces)
     {
-      result.z = (result.here - mean) / std::sqrt(variance);
+      result.z = (result.here - mean) / std::sqrt(std::max(variance, kLeastVariance));
       return result;
     }
   }

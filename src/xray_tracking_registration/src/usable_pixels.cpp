@@ -19,15 +19,15 @@ void UsablePixels::apply(std::int64_t stamp_ns, RegistrationRequest& request)
       throw std::invalid_argument(message("view ", view.geometry.name(), ": ", detector.field.nothing()));
     }
     const std::optional<std::int64_t> before = detector.repeated.add(view.image, stamp_ns);
-    if (before && *before != stamp_ns)
+    if (before && *before < stamp_ns)
     {
       throw std::invalid_argument(message("view ", view.geometry.name(), ": the image is, bit for bit, that of ",
                                           1e-9 * static_cast<double>(stamp_ns - *before), " s before"));
     }
-    if (!detector.inspected)
+    if (detector.inspected != view.image.size())
     {
       detector.repair.add(ImageInspector().inspect(view.image, request.intensity), view.image.size());
-      detector.inspected = true;
+      detector.inspected = view.image.size();
     }
     const cv::Rect whole(cv::Point(), view.image.size());
     if (detector.field.outside(whole) > 0.0)

@@ -165,7 +165,7 @@ TEST(ImageLevel, UnusablePixelsDoNotCount)
   const cv::Rect plate(200, 0, 40, 512);
   spoilt(plate).setTo(7.0f);
   spoilt.at<float>(256, 300) = -50.0f;
-  cv::Mat usable(512, 512, CV_8UC1, cv::Scalar(255));
+  cv::Mat usable(512, 512, CV_8UC1, cv::Scalar(1));  // whatever is not 0 counts
   usable(plate).setTo(0);
   usable.at<std::uint8_t>(256, 300) = 0;
   const cv::Rect region(150, 180, 200, 150);

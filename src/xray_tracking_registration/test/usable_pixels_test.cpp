@@ -100,6 +100,26 @@ TEST_F(UsablePixelsTest, stuckPixelsDoNoHarm)
   EXPECT_EQ(0, cv::countNonZero(before != exposure.views.front().image)) << "the message's own pixels were changed";
 }
 
+TEST_F(UsablePixelsTest, stuckPixelsAreThoseOfAnImageOfTheSize)
+{
+  const auto withStuckPixel = [this](const cv::Point& place)
+  {
+    RegistrationRequest exposure = expose();
+    exposure.views.pop_back();
+    exposure.views[0].image.at<std::uint16_t>(place) = 65535;
+    return exposure;
+  };
+  RegistrationRequest large = withStuckPixel({ 500, 490 });
+  usable_.apply(++stamp_, large);
+  EXPECT_LT(large.views[0].image.at<std::uint16_t>(490, 500), 65535);
+  // A detector that is binned from now on: the place is outside, and its own stuck pixel is another one.
+  RegistrationRequest small = withStuckPixel({ 100, 90 });
+  small.views[0].image = small.views[0].image(cv::Rect(0, 0, 256, 256)).clone();
+  usable_.apply(++stamp_, small);
+  EXPECT_EQ(cv::Size(256, 256), small.views[0].image.size());
+  EXPECT_LT(small.views[0].image.at<std::uint16_t>(90, 100), 65535);
+}
+
 TEST_F(UsablePixelsTest, namesTheViewThatShowsNothingNew)
 {
   const auto refusal = [this](std::int64_t stamp, RegistrationRequest request)
@@ -123,6 +143,7 @@ TEST_F(UsablePixelsTest, namesTheViewThatShowsNothingNew)
   RegistrationRequest black = expose();
   cv::randn(black.views[0].image, 100.0, 5.0);
   EXPECT_NE(std::string::npos, refusal(4000000000, black).find("detector_a: the image shows nothing"));
+  EXPECT_EQ("", refusal(500000000, frozen)) << "one from before is no repetition";
   usable_.reset();
   EXPECT_EQ("", refusal(5000000000, exposure));
 }

@@ -80,7 +80,7 @@ enum class Search
 /// Bounds of a wide search [mm, rad]: what 25 mm and 10 degrees along and about every axis come to, and the widest;
 /// time grows with their third powers.
 constexpr double kUsualSearch = 45.0;
-constexpr double kUsualSearchRotation = 0.31;
+constexpr double kUsualSearchRotation = 0.32;
 constexpr double kMaxSearch = 100.0;
 constexpr double kMaxSearchRotation = 0.8;
 
@@ -172,7 +172,7 @@ struct RegistrationResult
   int iterations = 0;
   int renderings = 0;  ///< poses that were rendered, all bodies and views
   std::vector<ViewResidual> views;
-  /// Other places, most similar first: where the bounds were searched, and never all that there are.
+  /// Other places that were looked at, most similar first; never all that there are.
   std::vector<Rival> rivals;
   std::chrono::duration<double> duration{ 0.0 };
 };
@@ -180,9 +180,9 @@ struct RegistrationResult
 /// Registers a CT to X-ray images: finds the pose of the target, and of the rest of the body as a nuisance, at which
 /// their DRRs are most like the images.
 ///
-/// Images are compared as attenuation, binned and high-passed with a width that goes from coarse (bins of 3.2 mm, 16
-/// mm) to fine (bins of 1.6 mm, 1.6 mm) on the detector, or to where the CT's voxels set the limit, each view brought
-/// to mean 0 and norm 1. Poses are twists about the target's centre.
+/// Images are compared as attenuation, binned and high-passed with a width that goes from coarse (bins of 2.2 mm, 11
+/// mm) to fine (bins of 1.1 mm, 1.1 mm) at the target, or to where the CT's voxels set the limit, each view brought to
+/// mean 0 and norm 1. Poses are twists about the target's centre.
 class Registration
 {
 public:

@@ -61,6 +61,12 @@ private:
     bool running = false;
   };
 
+  struct BelievedPose
+  {
+    RigidTransform room_from_patient;
+    ros::Time stamp;
+  };
+
   void start();
   void subscribe();
   /// @param store called with every message while the mutex is held
@@ -86,8 +92,12 @@ private:
   /// The registration in use; null if there is none.
   std::shared_ptr<const Registration> currentRegistration();
   /// With all but the start.
-  RegistrationRequest requestFor(const StoredExposure& exposure, Search search, const Progress& progress);
-  RefinementResult run(const Registration& registration, RegistrationRequest request);
+  /// @param usable of the detectors' kept exposures, or one of its own for images that a request brings along
+  RegistrationRequest requestFor(const StoredExposure& exposure, Search search, UsablePixels& usable,
+                                 const Progress& progress) const;
+  /// @param stamp of the kept exposure; nothing for images that a request brings along
+  RefinementResult run(const Registration& registration, RegistrationRequest request,
+                       const std::optional<ros::Time>& stamp);
 
   /// Takes the place of the one request; @return false if there is one already
   bool claim(Job job);
@@ -110,7 +120,7 @@ private:
   // Of the registering thread alone.
   RigidTransform accepted_pose_ = RigidTransform::Identity();  ///< room_from_patient of the last exposure
   RigidTransform target_from_rest_ = RigidTransform::Identity();
-  std::optional<RigidTransform> believed_pose_;  ///< the last one, whoever asked
+  std::optional<BelievedPose> believed_pose_;  ///< of a kept exposure, the last one that was asked about
   UsablePixels usable_pixels_;
   ros::Time last_refined_;  ///< exposure of the last refined_pose
 

@@ -12,14 +12,14 @@
 namespace xray_tracking
 {
 /// Leaves out of exposures what says nothing of the patient: what lies outside the X-ray field, and pixels that are
-/// stuck, which are taken from a detector's first exposure. Not thread-safe.
+/// stuck, which are taken from a detector's first exposure of a size. Not thread-safe.
 class UsablePixels
 {
 public:
   /// Sets RegistrationView::usable of views that have a border, and puts an image of its own in the place of one that
   /// has stuck pixels.
   /// @param stamp_ns of the exposure; one that comes again by its stamp is the same, not a repetition
-  /// @throws std::invalid_argument naming the view whose image shows nothing, or what an earlier exposure showed
+  /// @throws std::invalid_argument naming the view whose image shows nothing, or what an exposure before it showed
   void apply(std::int64_t stamp_ns, RegistrationRequest& request);
 
   void reset() { detectors_.clear(); }
@@ -30,7 +30,7 @@ private:
     XrayField field;
     RepeatedImageCheck repeated;
     PixelRepair repair;
-    bool inspected = false;
+    cv::Size inspected;  ///< size of the image that stuck pixels were taken from
   };
 
   std::map<std::string, Detector> detectors_;
