@@ -62,7 +62,7 @@ class RefinementTest(GraphTestCase):
             self.assertEqual(message.result.status, RefinementResult.UNRELIABLE, f"{stamp}: {message.result.reason}")
         self.wait_for(lambda: self.refinements("refused") == EXPOSURES, 10.0, "all refinements are refused")
         self.assertEqual(self.refinements("accepted"), 0)
-        self.assertIn("similarity", self.diagnosis["last refusal"])
+        self.assertIn("probability", self.diagnosis["last refusal"])
         # As good as tracking is, which shows what the refinement is for.
         self.assertLess(errors[0], 1e-6)
         self.assertGreater(np.median(errors[1:]), 0.35)

@@ -58,11 +58,12 @@ class RequestsTest(RegistrationTestCase):
                         camera_infos=[copy.deepcopy(cls.exposure.camera_infos[n]) for n in DETECTORS], **fields)
 
     def endless(self):
-        """A request that tries for as long as it can: noise in the place of images."""
+        """A request that tries for as long as it can: patches in the place of the patient."""
         request = self.with_images()
         random = np.random.default_rng(1)
         for image in request.images:
-            image.data = random.integers(3000, 50000, image.width * image.height, dtype=np.uint16).tobytes()
+            patches = random.integers(3000, 50000, (image.height // 16, image.width // 16))
+            image.data = np.kron(patches, np.ones((16, 16))).astype(np.uint16).tobytes()
         return request
 
     def check_good(self, result):
