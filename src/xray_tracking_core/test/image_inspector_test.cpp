@@ -181,6 +181,24 @@ TEST_F(ImageInspectorTest, repairsStuckPixels)
   EXPECT_LE(inspect(repaired).stuck, 1e-4);
 }
 
+TEST_F(ImageInspectorTest, leavesImagesOfAnotherSizeOrTypeAsTheyAre)
+{
+  cv::Mat broken = Scene().expose();
+  broken.col(230) = cv::Scalar(0);
+  PixelRepair repair;
+  repair.add(inspect(broken), broken.size());
+  ASSERT_FALSE(repair.empty());
+  for (const cv::Mat& other : { cv::Mat(40, 30, CV_16UC1, cv::Scalar(7)), cv::Mat(kSize, 231, CV_16UC1, cv::Scalar(7)),
+                                cv::Mat(kSize, kSize, CV_16SC1, cv::Scalar(7)) })
+  {
+    cv::Mat repaired;
+    repair.apply(other, repaired);
+    ASSERT_EQ(other.size(), repaired.size());
+    ASSERT_EQ(other.type(), repaired.type());
+    EXPECT_EQ(0.0, cv::norm(other, repaired, cv::NORM_INF));
+  }
+}
+
 TEST_F(ImageInspectorTest, tellsSaturation)
 {
   // Air at the end of 8 bit.

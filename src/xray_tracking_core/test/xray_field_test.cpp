@@ -148,6 +148,23 @@ TEST(XrayFieldTest, ofAnImageThatShowsNothingAllIsOutside)
   EXPECT_EQ(0, cv::countNonZero(marks != 7));
 }
 
+TEST(XrayFieldTest, stripesAreNoImage)
+{
+  // A dark frame: every column's amplifier has its own offset, beside noise.
+  cv::Mat columns(1, 300, CV_32FC1), image, noise(200, 300, CV_32FC1);
+  cv::RNG random(9);
+  random.fill(columns, cv::RNG::NORMAL, 500.0, 60.0);
+  random.fill(noise, cv::RNG::NORMAL, 0.0, 5.0);
+  cv::repeat(columns, 200, 1, image);
+  image += noise;
+  for (const cv::Mat& stripes : { image, cv::Mat(image.t()) })
+  {
+    XrayField field;
+    field.update(stripes, { IntensityModel::Kind::COUNTS, 0.0, {} });
+    EXPECT_NE("", field.nothing());
+  }
+}
+
 TEST(XrayFieldTest, stuckPixelsAreNoBorder)
 {
   cv::RNG random(5);

@@ -100,6 +100,18 @@ public:
     return { region_.x / edge_, region_.y / edge_, region_.width / edge_, region_.height / edge_ };
   }
   int edge() const { return edge_; }
+  /// With the lengths in this view's pixels, which are smaller than asked for where the region is.
+  HyperplaneTrackerOptions scaled(HyperplaneTrackerOptions options) const
+  {
+    const double scale = static_cast<double>(options.reduction) / edge_;
+    for (double& range : options.ranges)
+    {
+      range *= scale;
+    }
+    options.convergence *= scale;
+    options.max_predicted_sd *= scale;
+    return options;
+  }
   /// From the middle of the reduced region to the region's, in the image [px].
   Eigen::Vector2d offset() const
   {
@@ -119,6 +131,8 @@ private:
 struct HyperplaneTracker::State
 {
   View view;
+  std::vector<double> ranges;  ///< of the predictors, in the view
+  double near;                 ///< kNear, in the view
   RegionTemplate region_template;
   Warp warp;  ///< where the region was last found, in the view
 };
@@ -157,8 +171,10 @@ void HyperplaneTracker::train(const cv::Mat& image, const cv::Rect& region)
   checkImage(image);
   requireRegionInside(region, image.size());
   View view(image, region, options_.reduction);
-  RegionTemplate learnt(view(image), view.reducedRegion(), options_, view.intensity(intensity_));
-  state_ = std::make_unique<State>(State{ std::move(view), std::move(learnt), Warp() });
+  const HyperplaneTrackerOptions scaled = view.scaled(options_);
+  RegionTemplate learnt(view(image), view.reducedRegion(), scaled, view.intensity(intensity_));
+  const double near = kNear * options_.reduction / view.edge();
+  state_ = std::make_unique<State>(State{ std::move(view), scaled.ranges, near, std::move(learnt), Warp() });
   lost_ = false;
   result_ = TrackResult();
   result_.correlation = 1.0;
@@ -199,7 +215,7 @@ void HyperplaneTracker::search(const cv::Mat& image, const Warp& start, bool onl
   RegionTemplate& t = state_->region_template;
   const cv::Mat& seen = state_->view(image);
   std::size_t first = 0;
-  while (only_near && first + 1 < t.levels() && options_.ranges[first] > kNear)
+  while (only_near && first + 1 < t.levels() && state_->ranges[first] > state_->near)
   {
     ++first;
   }
@@ -228,7 +244,7 @@ void HyperplaneTracker::search(const cv::Mat& image, const Warp& start, bool onl
     }
     const bool is_last = level + 1 >= t.levels();
     if (status == TrackResult::Status::TRACKED &&
-        (is_last || (found.warp.translation - start.translation).norm() < options_.ranges[level + 1]))
+        (is_last || (found.warp.translation - start.translation).norm() < state_->ranges[level + 1]))
     {
       break;
     }

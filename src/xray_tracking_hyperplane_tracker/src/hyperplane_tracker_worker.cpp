@@ -1,4 +1,5 @@
 // What HyperplaneTrackerRos does in its worker thread: from an exposure to its answer.
+#include <algorithm>
 #include <cmath>
 #include <exception>
 #include <stdexcept>
@@ -39,6 +40,12 @@ cv::Scalar stateColour(std::uint8_t state)
 bool isFound(std::uint8_t state)
 {
   return state == TrackedRegion::TRACKING || state == TrackedRegion::DEGRADED;
+}
+
+bool hasDetector(const TreatmentSetup& setup, const std::string& name)
+{
+  return std::any_of(setup.detectors.begin(), setup.detectors.end(),
+                     [&name](const ProjectionGeometry& detector) { return detector.name() == name; });
 }
 
 /// Why a region was not found.
@@ -103,17 +110,15 @@ void HyperplaneTrackerRos::configure()
     {
       const TreatmentSetup setup = loadTreatmentSetup(parameters_.setup_file);
       intensity_ = setup.intensity;
-      const ProjectionGeometry& geometry = setup.detector(parameters_.detector);
-      const double magnification = geometry.magnification(setup.room_from_patient * setup.targetCentre());
-      if (!(magnification > 0.0))
+      if (configured_region_ && !hasDetector(setup, parameters_.detector))
       {
-        throw std::invalid_argument("the target is not in front of the source of " + geometry.name());
+        ROS_WARN_STREAM(pnh_.getNamespace() << ": " << parameters_.setup_file << " has no detector '"
+                                            << parameters_.detector << "', so its pixels are taken to be "
+                                            << parameters_.resolution << " mm at the target (resolution)");
       }
-      parameters_.scaleTo(geometry.pixelPitch().mean() / magnification);
-      const auto given = setup.regions.find(parameters_.detector);
-      if (!configured_region_)
+      else
       {
-        configured_region_ = given != setup.regions.end() ? given->second : projectedTargetRegion(setup, geometry);
+        adoptGeometry(setup);
       }
     }
     region_ = configured_region_;
@@ -125,6 +130,22 @@ void HyperplaneTrackerRos::configure()
     ROS_ERROR_STREAM(pnh_.getNamespace() << " tracks nothing: " << configuration_fault_);
     const std::lock_guard<std::mutex> lock(snapshot_mutex_);
     snapshot_.fault = configuration_fault_;
+  }
+}
+
+void HyperplaneTrackerRos::adoptGeometry(const TreatmentSetup& setup)
+{
+  const ProjectionGeometry& geometry = setup.detector(parameters_.detector);
+  const double magnification = geometry.magnification(setup.room_from_patient * setup.targetCentre());
+  if (!(magnification > 0.0))
+  {
+    throw std::invalid_argument("the target is not in front of the source of " + geometry.name());
+  }
+  parameters_.scaleTo(geometry.pixelPitch().mean() / magnification);
+  const auto given = setup.regions.find(parameters_.detector);
+  if (!configured_region_)
+  {
+    configured_region_ = given != setup.regions.end() ? given->second : projectedTargetRegion(setup, geometry);
   }
 }
 
@@ -390,12 +411,17 @@ std::string HyperplaneTrackerRos::train(const cv::Mat& pixels, const cv::Rect& r
 void HyperplaneTrackerRos::track(const cv::Mat& pixels, TrackedRegion& result)
 {
   const double outside = check_->outside(tracker_->lastPlace());
-  if (outside > kMostOutside)
+  const bool covered = outside > kMostOutside;
+  if (covered)
   {
     result.state = TrackedRegion::BLIND;
     result.fault = "of the region " + std::to_string(std::lround(100.0 * outside)) +
                    " % are outside the field (collimator blades, the image's rim)";
-    return;
+    // What was lost before may be elsewhere.
+    if (!tracker_->lost())
+    {
+      return;
+    }
   }
   TrackResult track = tracker_->track(check_->repaired(pixels));
   if (!track.found() && isFound(logged_state_) && check_->learnStuck(pixels))
@@ -410,8 +436,10 @@ void HyperplaneTrackerRos::track(const cv::Mat& pixels, TrackedRegion& result)
   result.correlation = finiteOrZero(track.correlation);
   result.quality = finiteOrZero(track.quality);
   result.iterations = static_cast<std::uint32_t>(track.iterations);
-  result.state = TrackedRegion::LOST;
-  if (track.found() && track.displacement.allFinite() && track.linear.allFinite() && track.covariance.allFinite())
+  // Nor is it found where there is nothing to be seen.
+  const bool in_field = !covered || check_->outside(tracker_->lastPlace()) <= kMostOutside;
+  if (in_field && track.found() && track.displacement.allFinite() && track.linear.allFinite() &&
+      track.covariance.allFinite())
   {
     result.state = track.status == TrackResult::Status::TRACKED ? TrackedRegion::TRACKING : TrackedRegion::DEGRADED;
     result.displacement_x = track.displacement.x();
@@ -419,9 +447,13 @@ void HyperplaneTrackerRos::track(const cv::Mat& pixels, TrackedRegion& result)
     Eigen::Map<Eigen::Matrix<double, 2, 2, Eigen::RowMajor>>(result.linear.data()) = track.linear;
     Eigen::Map<Eigen::Matrix<double, 6, 6, Eigen::RowMajor>>(result.covariance.data()) =
         0.5 * (track.covariance + track.covariance.transpose());  // rounding is not symmetric
-    return;
+    result.fault.clear();
   }
-  result.fault = lossName(track.status);
+  else if (!covered)
+  {
+    result.state = TrackedRegion::LOST;
+    result.fault = lossName(track.status);
+  }
 }
 
 void HyperplaneTrackerRos::publishOverlay(const sensor_msgs::ImageConstPtr& image, const TrackedRegion& result)

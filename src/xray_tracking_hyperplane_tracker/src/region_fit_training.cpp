@@ -50,6 +50,14 @@ double noiseReach(const NoiseSpectrum& noise)
   return moment / sum;
 }
 
+/// Share of the noise's scatter along an axis that pairs of neighbouring tiles see: of pairs of pixels across their
+/// border, every second one. Where noise reaches farther than tiles this says nothing; then there are still some.
+double noiseSeen(double reach, double tile)
+{
+  constexpr double kLeast = 0.2;
+  return std::min(1.0, std::max(kLeast, 1.0 - 0.5 * reach / tile));
+}
+
 /// Of an image by x and y.
 class Gradients
 {
@@ -89,8 +97,8 @@ void RegionFit::layTiles(const cv::Rect& region, double noise_reach)
   const int columns = std::max(1, static_cast<int>(std::lround(grid_.width / side)));
   const int rows = std::max(1, static_cast<int>(std::lround(grid_.height / side)));
   tile_columns_ = columns;
-  // Of pairs across the border of two tiles, every second one.
-  noise_seen_ = (1.0 - 0.5 * noise_reach * columns / region.width) * (1.0 - 0.5 * noise_reach * rows / region.height);
+  noise_seen_ = noiseSeen(noise_reach, static_cast<double>(region.width) / columns) *
+                noiseSeen(noise_reach, static_cast<double>(region.height) / rows);
   std::vector<Eigen::Vector2f> places;
   for (int r = 0; r < rows; ++r)
   {

@@ -153,6 +153,49 @@ TEST(HyperplaneTracker, followsTheSameInAFinerImage)
   }
 }
 
+// A region too small for the reduction is tracked in smaller squares: lengths stay those that were asked for.
+TEST(HyperplaneTracker, reachesAsFarWhereTheRegionIsSmall)
+{
+  const auto enlarged = [](const cv::Mat& image)
+  {
+    cv::Mat large;
+    cv::resize(image, large, {}, 2.0, 2.0, cv::INTER_NEAREST);
+    return large;
+  };
+  // In the image twice as fine, squares of 10 px would be 20 by 18: it takes them of 5.
+  HyperplaneTrackerOptions plain;
+  HyperplaneTrackerOptions options;
+  options.reduction = 10;
+  options.ranges = { 8.0, 3.2, 1.0 };
+  options.convergence = 0.01;
+  options.max_predicted_sd = 0.15;
+  plain.reduction = 5;
+  plain.ranges = { 16.0, 6.4, 2.0 };
+  plain.convergence = 0.02;
+  plain.max_predicted_sd = 0.3;
+  const cv::Rect region(2 * kRegion.x, 2 * kRegion.y, 2 * kRegion.width, 2 * kRegion.height);
+  HyperplaneTracker asked(options, counts());
+  HyperplaneTracker same(plain, counts());
+  const cv::Mat reference = enlarged(expose({}));
+  asked.train(reference, region);
+  same.train(reference, region);
+  Exposure e;
+  e.noise = 0.01;
+  for (const Eigen::Vector2d& place : walk(8))
+  {
+    e.displacement = place;
+    ++e.seed;
+    const cv::Mat image = enlarged(expose(e));
+    const TrackResult expected = same.track(image);
+    expectFollows(asked, image, 2.0 * place, 2.5);  // half a square
+    EXPECT_LT((asked.result().displacement - expected.displacement).norm(), 1e-3);
+  }
+  // As far as the contrast is concerned, too.
+  options.max_predicted_sd = 1e-6;
+  EXPECT_TRUE(
+      contains(messageOf([&] { HyperplaneTracker(options, counts()).train(reference, region); }), "at most 2e-06"));
+}
+
 TEST(TrackResult, tellsARotationFromItsError)
 {
   TrackResult result;

@@ -63,6 +63,35 @@ class HyperplaneTrackerTest(TrackerTestCase):
         detector.send(stamp, exposure(4.0, 3.0))
         self.judge(detector.answer(), stamp, reference, (4.0, 3.0))
 
+    def test_finds_a_lost_region_beside_blades_over_its_last_place(self):
+        def blades(image):
+            counts = numpy.frombuffer(image.data, "<u2").reshape(HEIGHT, WIDTH).copy()
+            counts[:, :130] = counts[:, :130] // 200 + 5
+            image.data = counts.tobytes()
+            return image
+        detector = self.connect("parameter_region")
+        reference = self.restart(detector)
+        for image, state in ((blades(exposure(seed=1)), TrackedRegion.BLIND), (exposure(seed=2), TrackedRegion.TRACKING),
+                             (turned(), TrackedRegion.LOST), (blades(turned()), TrackedRegion.BLIND)):
+            detector.send(self.stamp(), image)
+            answer = detector.answer()
+            self.assertEqual(answer.state, state)
+            self.assertEqual("outside the field" in answer.fault, state == TrackedRegion.BLIND)
+        stamp = self.stamp()
+        detector.send(stamp, blades(exposure(67.0, 3.0, seed=3)))
+        answer = detector.answer()
+        self.judge(answer, stamp, reference, (67.0, 3.0))
+        self.assertEqual(answer.fault, "")
+
+    def test_tracks_a_given_region_of_a_detector_that_the_setup_lacks(self):
+        detector = self.connect("unknown_detector")
+        reference = self.stamp()
+        detector.send(reference, exposure())
+        self.judge(detector.answer(), reference, reference, (0.0, 0.0))
+        stamp = self.stamp()
+        detector.send(stamp, exposure(2.5, -1.25, seed=2))
+        self.judge(detector.answer(), stamp, reference, (2.5, -1.25))
+
     def test_is_blind_where_there_is_nothing_new_to_be_seen(self):
         detector = self.connect("parameter_region")
         # No template comes from exposures that show nothing; the first one that shows something is the first.

@@ -24,6 +24,12 @@ static_assert(static_cast<int>(TrackModel::EUCLIDEAN) == TrackedRegion::EUCLIDEA
 static_assert(static_cast<int>(TrackModel::SIMILARITY) == TrackedRegion::SIMILARITY);
 static_assert(static_cast<int>(TrackModel::AFFINE) == TrackedRegion::AFFINE);
 
+/// Whether a view was to have a template, but its exposure did not show the region well enough for one.
+bool showsNothing(const TrackedRegion& region)
+{
+  return region.state == TrackedRegion::BLIND || (region.state == TrackedRegion::UNTRAINED && !region.fault.empty());
+}
+
 bool isModel(std::uint8_t model)
 {
   return model == TrackedRegion::TRANSLATION || model == TrackedRegion::EUCLIDEAN ||
@@ -37,7 +43,7 @@ std::optional<MotionEstimate> MotionEstimationRos::estimate(PatientMotion& motio
   {
     views_[i].doubt = doubtOfState(views_[i], assembler_->exposure()[i].get());
     const TrackedRegion* region = assembler_->exposure()[i].get();
-    if (history_.empty() && !first_unseen_ && region && region->state == TrackedRegion::BLIND)
+    if (history_.empty() && !first_unseen_ && region && showsNothing(*region))
     {
       first_unseen_ = region->header.stamp;
     }
@@ -238,7 +244,7 @@ void MotionEstimationRos::findReferences()
       view.doubt = { PatientMotion::NO_REFERENCE, reason.str() };
     }
   }
-  if (first && first_unseen_ && last_stamp > *first_unseen_)
+  if (first && first_unseen_ && (last_stamp - *first_unseen_).toSec() > parameters_.pairing_tolerance)
   {
     doubtStart(*first_unseen_, last_stamp);
   }
@@ -248,7 +254,8 @@ void MotionEstimationRos::doubtStart(const ros::Time& from, const ros::Time& to)
 {
   std::ostringstream doubt;
   doubt << "the first exposures, from " << from << " to " << to
-        << ", did not show the patient, who may have left the initial pose by then: that is not confirmed by a "
+        << ", did not show the region, and the patient may have left the initial pose by then: that is not confirmed "
+           "by a "
            "refinement";
   start_doubt_ = doubt.str();
   ROS_WARN_STREAM(start_doubt_);

@@ -302,10 +302,9 @@ void MotionEstimationRos::forget()
   refinement_->reset();
   // A bag that is played again begins with the patient where it began. A clock that was set, or old exposures that are
   // sent once more, find the patient anywhere, and the trackers learn their templates there.
-  if (!ros::Time::isSimTime())
-  {
-    start_doubt_ = "time went back: that the patient was at the initial pose again is not confirmed by a refinement";
-  }
+  start_doubt_ = ros::Time::isSimTime() ? ""
+                                        : "time went back: that the patient was at the initial pose again is not "
+                                          "confirmed by a refinement";
   gate_->reset("exposures start again");
 }
 }  // namespace xray_tracking

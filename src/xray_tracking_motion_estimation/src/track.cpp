@@ -42,6 +42,14 @@ Track Track::since(const Track& anchor) const
   track.displacement = displacement - anchor.displacement;
   track.linear = linear * anchor.linear.inverse();
   track.covariance = covariance + anchor.covariance;
+  if (model == TrackModel::TRANSLATION || anchor.model == TrackModel::TRANSLATION)
+  {
+    // One of the two linear parts was not measured, so their ratio is not known.
+    track.model = TrackModel::TRANSLATION;
+    track.linear.setIdentity();
+    track.covariance.rightCols<4>().setZero();
+    track.covariance.bottomRows<4>().setZero();
+  }
   return track;
 }
 

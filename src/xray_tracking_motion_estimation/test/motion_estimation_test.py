@@ -197,15 +197,31 @@ class MotionEstimationTest(EstimationTestCase):
         for index in (1, 2):
             self.expect_no_pose(index, 3)
 
-    def test_blind_first_exposures_put_the_initial_pose_in_doubt(self):
+    def start_without(self, region_state, fault, state, words):
         for index in range(3):
             regions = self.regions(index)
             for region in regions:
-                region.state, region.fault = TrackedRegion.BLIND, 'the image shows nothing'
+                region.state, region.fault = region_state, fault
             answer = self.expose(regions, index)
-            self.assertEqual(answer.state, PatientMotion.LOST)
-            self.assertIn('is blind: the image shows nothing', answer.reason)
-        answer = self.expose(self.regions(5, reference=3), 5)
+            self.assertEqual(answer.state, state)
+            self.assertIn(words, answer.reason)
+        return self.expose(self.regions(5, reference=3), 5)
+
+    def test_blind_first_exposures_put_the_initial_pose_in_doubt(self):
+        self.expect_doubt(self.start_without(TrackedRegion.BLIND, 'the image shows nothing', PatientMotion.LOST,
+                                             'is blind: the image shows nothing'))
+
+    def test_refused_templates_put_the_initial_pose_in_doubt(self):
+        self.expect_doubt(self.start_without(TrackedRegion.UNTRAINED, 'region: has too little contrast',
+                                             PatientMotion.WAITING, 'is untrained: region: has too little contrast'))
+
+    def test_waiting_for_a_region_is_no_doubt(self):
+        answer = self.start_without(TrackedRegion.UNTRAINED, '', PatientMotion.WAITING, 'is untrained')
+        self.assertEqual(answer.state, PatientMotion.OK, answer.reason)
+        for axis in (0, 4, 8):
+            self.assertLess(answer.covariance[axis], 0.003 ** 2)
+
+    def expect_doubt(self, answer):
         self.assertEqual(answer.state, PatientMotion.OK, answer.reason)
         # Seen first after 0.3 s, in which it may have moved by 15 mm/s along any axis.
         for axis in (0, 4, 8):

@@ -4,6 +4,8 @@
 #include <cmath>
 #include <cstdio>
 
+#include <Eigen/Geometry>
+
 #include "scene.h"
 
 namespace xray_tracking
@@ -382,6 +384,7 @@ TEST(Track, SinceIsTheWarpThatIsLeft)
   for (int trial = 0; trial < 20; ++trial)
   {
     Track anchor;
+    anchor.model = TrackModel::AFFINE;
     anchor.centre = { 250.0, 260.0 };
     anchor.displacement = 10.0 * random.normals(2);
     anchor.linear += 0.05 * Eigen::Matrix2d(Eigen::Map<const Eigen::Matrix2d>(random.normals(4).eval().data()));
@@ -392,6 +395,31 @@ TEST(Track, SinceIsTheWarpThatIsLeft)
     const Eigen::Vector2d point = anchor.centre + 40.0 * random.normals(2);
     EXPECT_LT((map(track.since(anchor), map(anchor, point)) - map(track, point)).norm(), 1e-9);
   }
+}
+
+TEST(Track, SinceAnUnmeasuredLinearPartIsATranslation)
+{
+  Track translation;
+  translation.centre = { 250.0, 260.0 };
+  translation.displacement = { 3.0, -1.0 };
+  translation.covariance.topLeftCorner<2, 2>() = 0.01 * Eigen::Matrix2d::Identity();
+  Track euclidean = translation;
+  euclidean.model = TrackModel::EUCLIDEAN;
+  euclidean.displacement = { 5.0, 2.0 };
+  euclidean.linear = Eigen::Rotation2Dd(0.05).toRotationMatrix();
+  euclidean.covariance = 0.02 * Matrix6d::Identity() + 0.001 * Matrix6d::Ones();
+  const Matrix6d sum = translation.covariance + euclidean.covariance;
+  for (const bool forwards : { true, false })
+  {
+    const Track since = forwards ? euclidean.since(translation) : translation.since(euclidean);
+    EXPECT_EQ(TrackModel::TRANSLATION, since.model);
+    EXPECT_EQ(Eigen::Vector2d(forwards ? 2.0 : -2.0, forwards ? 3.0 : -3.0), since.displacement);
+    EXPECT_EQ(Eigen::Matrix2d(Eigen::Matrix2d::Identity()), since.linear);
+    Matrix6d expected = Matrix6d::Zero();
+    expected.topLeftCorner<2, 2>() = sum.topLeftCorner<2, 2>();
+    EXPECT_EQ(expected, since.covariance);
+  }
+  EXPECT_EQ(TrackModel::EUCLIDEAN, euclidean.since(euclidean).model);
 }
 }  // namespace
 }  // namespace xray_tracking

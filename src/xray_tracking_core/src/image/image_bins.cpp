@@ -138,7 +138,7 @@ double ImageBins::correlation() const
     sum += std::accumulate(row, row + light_.cols, 0.0, [&](double s, float light) { return s + clipped(light); });
   }
   const double mean = sum / static_cast<double>(light_.total());
-  double squares = 0.0, products = 0.0;
+  double squares = 0.0, along_rows = 0.0, along_columns = 0.0;
   for (int y = 0; y + 1 < light_.rows; ++y)
   {
     const float* row = light_.ptr<float>(y);
@@ -147,9 +147,10 @@ double ImageBins::correlation() const
     {
       const double v = clipped(row[x]) - mean;
       squares += v * v;
-      products += 0.5 * v * (clipped(row[x + 1]) + clipped(next[x]) - 2.0 * mean);
+      along_rows += v * (clipped(row[x + 1]) - mean);
+      along_columns += v * (clipped(next[x]) - mean);
     }
   }
-  return squares > 0.0 ? products / squares : 0.0;
+  return squares > 0.0 ? std::min(along_rows, along_columns) / squares : 0.0;
 }
 }  // namespace xray_tracking

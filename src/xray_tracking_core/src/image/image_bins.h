@@ -27,7 +27,7 @@ public:
   float step() const { return step_; }            ///< of light(), where it is in whole numbers; else 0
   float noise() const { return noise_; }          ///< standard deviation of a pixel's light in quiet bins; counts only
   float quantum() const { return quantum_; }      ///< variance of a pixel's light in units of it; counts only, else 0
-  /// Of neighbouring bins, -1..1; 0 if all are the same.
+  /// Of neighbouring bins along rows or along columns, whichever is less, about -1..1; 0 if all are the same.
   double correlation() const;
 
 private:

@@ -75,6 +75,11 @@ void PixelRepair::add(const ImageReport& report, const cv::Size& size)
 void PixelRepair::apply(const cv::Mat& image, cv::Mat& repaired) const
 {
   image.copyTo(repaired);
+  // The places of the repairs are those of an image of this size.
+  if (image.size() != stuck_.size() || !isPixelType(image))
+  {
+    return;
+  }
   withPixelType(image,
                 [&](auto pixel)
                 {

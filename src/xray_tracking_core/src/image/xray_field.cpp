@@ -14,7 +14,8 @@ namespace
 {
 constexpr int kLeastSize = 16;  // of an image [px]
 constexpr double kLeastField = 0.01;
-/// Bins of a real image go together by 0.9 and more, of noise alone, even if it is correlated over pixels, hardly.
+/// Bins of a real image go together by 0.9 and more along rows and columns; of noise alone, even if it is correlated
+/// over pixels, hardly, and of the column or row pattern of a dark frame along one of them only.
 constexpr double kLeastCorrelation = 0.3;
 constexpr float kLeastLevel = 2.f;  // of the brightest bins, in standard deviations of a pixel
 
@@ -36,7 +37,7 @@ std::string nothingIn(const ImageBins& bins, const IntensityModel& intensity)
     return nothing(": its brightest part is ", bins.brightest(), " counts above the offset of ", intensity.offset,
                    ", with noise of ", bins.noise());
   }
-  return bins.correlation() < kLeastCorrelation ? nothing(" but noise") : std::string();
+  return bins.correlation() < kLeastCorrelation ? nothing(" but noise or stripes") : std::string();
 }
 }  // namespace
 

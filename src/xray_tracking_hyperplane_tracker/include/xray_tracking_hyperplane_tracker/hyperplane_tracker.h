@@ -20,7 +20,8 @@ struct HyperplaneTrackerOptions
 {
   MotionModel model = MotionModel::TRANSLATION;
   /// Edge of the squares of pixels whose means are tracked [px], 1..64, less where a region would have less than 32 of
-  /// them: a fine detector takes no longer than a coarse one. All other lengths here are in such means [px].
+  /// them: a fine detector takes no longer than a coarse one. All other lengths here are in squares of this edge [px],
+  /// and mean the same where the edge is less; only `bin` is in the means that there are.
   int reduction = 1;
   /// Template points, uniformly random in the region; 50..20000, and so few that a training takes at most 1e9 bytes, 4
   /// points (training_motions + 4 points).

@@ -89,6 +89,8 @@ private:
   // All below run in the worker thread.
   void work();
   void configure();
+  /// Takes the scale of lengths, and the region if none was given, from the setup's detector.
+  void adoptGeometry(const TreatmentSetup& setup);
   void makeTracker();
   void adoptSettings();
   void process(const Arrival& arrival);

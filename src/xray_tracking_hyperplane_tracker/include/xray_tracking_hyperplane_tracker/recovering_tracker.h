@@ -34,6 +34,8 @@ public:
   void reset();
   bool trained() const { return tracker_->trained(); }
   cv::Rect region() const { return tracker_->region(); }
+  /// Whether the last track() did not find the region.
+  bool lost() const { return lost_; }
   /// Where the region was last found [px], its size kept.
   cv::Rect lastPlace() const
   {

@@ -143,7 +143,7 @@ private:
   std::optional<BeamGateRos> gate_;
   /// Why the pose that all motion is counted from might be wrong, until it is refined; empty if there is no such doubt.
   std::string start_doubt_;
-  std::optional<ros::Time> first_unseen_;  ///< first exposure that showed a view nothing while nothing was measured
+  std::optional<ros::Time> first_unseen_;  ///< first exposure that gave a view no template while nothing was measured
   std::optional<PosePredictor> predictor_;
   std::optional<RefinementPolicy> refinement_;
   std::optional<RefinementClient> refinement_client_;

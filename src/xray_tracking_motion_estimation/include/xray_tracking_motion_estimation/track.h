@@ -37,7 +37,8 @@ struct Track
 
   /// The region's warp since another exposure in which the same template was tracked. Covariances add: between the two
   /// linear parts, which are near the identity, the errors are taken to be the same numbers.
-  /// @param anchor that exposure's, of the same centre and model
+  /// Of TRANSLATION if either is: the linear part of the other alone is none since the anchor.
+  /// @param anchor that exposure's, of the same centre and model, or one of the two of TRANSLATION
   Track since(const Track& anchor) const;
 };
 

@@ -20,7 +20,8 @@ public:
   std::size_t count() const { return repairs_.size(); }
   void clear();
 
-  /// Of the pixel types and the size that were inspected. No allocation after the first image.
+  /// No allocation after the first image. @param image CV_8UC1, CV_16UC1 or CV_32FC1 of the size that was added; of
+  /// another size or type nothing is known, and it is copied as it is
   void apply(const cv::Mat& image, cv::Mat& repaired) const;
 
 private:

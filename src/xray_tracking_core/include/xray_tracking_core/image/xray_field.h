@@ -32,8 +32,8 @@ public:
   /// @throws std::invalid_argument naming the type or the size of another one
   void update(const cv::Mat& image, const IntensityModel& intensity);
 
-  /// Why the last image as a whole shows nothing: it is the same everywhere, not above the offset, noise alone, or
-  /// there is no field; empty where it shows something. Then all of it is outside.
+  /// Why the last image as a whole shows nothing: it is the same everywhere, not above the offset, noise or stripes
+  /// alone, or there is no field; empty where it shows something. Then all of it is outside.
   const std::string& nothing() const;
   /// Share of a rectangle of the image's that is outside the field, what is beyond the image included, 0..1.
   double outside(const cv::Rect& part) const;
