@@ -62,4 +62,25 @@ bool CtEnds::cut(const Ray& ray) const
   }
   return false;
 }
+
+cv::Mat insideEnds(const ProjectionGeometry& geometry, const PixelGrid& pixels, const std::vector<PlacedEnds>& ends)
+{
+  cv::Mat inside(pixels.size.y(), pixels.size.x(), CV_32FC1, 1.0f);
+  for (const PlacedEnds& placed : ends)
+  {
+    const RigidTransform ct_from_room = placed.room_from_ct.inverse();
+    for (int row = 0; row < inside.rows; ++row)
+    {
+      for (int column = 0; column < inside.cols; ++column)
+      {
+        const Ray ray = geometry.backProject(pixels.first + Eigen::Vector2d(column, row).cwiseProduct(pixels.step));
+        if (placed.ends.cut({ ct_from_room * ray.source, ct_from_room.linear() * ray.direction }))
+        {
+          inside.at<float>(row, column) = 0.0f;
+        }
+      }
+    }
+  }
+  return inside;
+}
 }  // namespace xray_tracking

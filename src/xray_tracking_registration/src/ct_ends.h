@@ -5,6 +5,7 @@
 #include <opencv2/core.hpp>
 
 #include "xray_tracking_core/geometry/projection_geometry.h"
+#include "xray_tracking_core/projection/pixel_grid.h"
 #include "xray_tracking_core/volume/ct_volume.h"
 
 namespace xray_tracking
@@ -42,4 +43,7 @@ struct PlacedEnds
   const CtEnds& ends;
   RigidTransform room_from_ct;
 };
+
+/// 1 where a grid's rays cross none of the ends, else 0: CV_32FC1 of the grid's size.
+cv::Mat insideEnds(const ProjectionGeometry& geometry, const PixelGrid& pixels, const std::vector<PlacedEnds>& ends);
 }  // namespace xray_tracking

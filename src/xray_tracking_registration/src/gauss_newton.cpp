@@ -119,19 +119,21 @@ std::vector<double> similarities(const std::vector<ViewLevel>& views, const Bodi
   return values;
 }
 
-NormalEquations viewEquations(const ViewLevel& view, const Linearisation& at, std::size_t v, std::size_t views,
-                              Eigen::Index first, Eigen::Index count)
+namespace
 {
-  const auto derivatives = at.models[v].derivatives.middleRows(first, count);
-  const auto by_saturation = at.models[v].by_saturation.segment(first, count);
-  const auto weights = at.weights[v].segment(first, count);
+/// Those of one view's image alone. @param v number of the view, of `views` in all
+NormalEquations viewEquations(const ViewLevel& view, const Linearisation& at, std::size_t v, std::size_t views)
+{
+  const Eigen::MatrixXf& derivatives = at.models[v].derivatives;
+  const Eigen::VectorXf& by_saturation = at.models[v].by_saturation;
+  const Eigen::VectorXf& weights = at.weights[v];
   const Eigen::Index twists = derivatives.cols();
   const Eigen::Index k = twists + static_cast<Eigen::Index>(v);
   const auto unknowns = twists + static_cast<Eigen::Index>(views);
   NormalEquations equations{ Eigen::MatrixXd::Zero(unknowns, unknowns), Eigen::VectorXd::Zero(unknowns) };
   const Eigen::MatrixXf weighted = weights.asDiagonal() * derivatives;
   const Eigen::VectorXf weighted_k = weights.cwiseProduct(by_saturation);
-  const Eigen::VectorXf difference = view.measured().segment(first, count) - at.models[v].image.segment(first, count);
+  const Eigen::VectorXf difference = view.measured() - at.models[v].image;
   equations.information.topLeftCorner(twists, twists) = (derivatives.transpose() * weighted).cast<double>();
   equations.information.col(k).head(twists) = (derivatives.transpose() * weighted_k).cast<double>();
   equations.information.row(k).head(twists) = equations.information.col(k).head(twists).transpose();
@@ -140,6 +142,7 @@ NormalEquations viewEquations(const ViewLevel& view, const Linearisation& at, st
   equations.gradient[k] = weighted_k.dot(difference);
   return equations;
 }
+}  // namespace
 
 Twist RestPrior::deviation(const PosePair& poses, const Eigen::Vector3d& centre) const
 {
@@ -154,8 +157,7 @@ NormalEquations normalEquations(const std::vector<ViewLevel>& views, const Linea
   NormalEquations equations{ Eigen::MatrixXd::Zero(unknowns, unknowns), Eigen::VectorXd::Zero(unknowns) };
   for (std::size_t v = 0; v < views.size(); ++v)
   {
-    const NormalEquations part =
-        viewEquations(views[v], at, v, views.size(), 0, static_cast<Eigen::Index>(at.weights[v].size()));
+    const NormalEquations part = viewEquations(views[v], at, v, views.size());
     equations.information += part.information;
     equations.gradient += part.gradient;
     const auto k = twists + static_cast<Eigen::Index>(v);

@@ -45,10 +45,6 @@ struct NormalEquations
   Eigen::MatrixXd information;
   Eigen::VectorXd gradient;
 };
-/// Those of one view's pixels `first` to `first + count` alone.
-/// @param v number of the view, of `views` in all
-NormalEquations viewEquations(const ViewLevel& view, const Linearisation& at, std::size_t v, std::size_t views,
-                              Eigen::Index first, Eigen::Index count);
 /// Those of all images and of what is known beforehand: of each view's saturation, and, where both bodies move, of the
 /// rest.
 NormalEquations normalEquations(const std::vector<ViewLevel>& views, const Linearisation& at, const RestPrior& prior,

@@ -113,22 +113,7 @@ ViewLevel::ViewLevel(const ProjectionGeometry& geometry, const cv::Mat& attenuat
 
 void ViewLevel::leaveOut(const cv::Mat& usable, const std::vector<PlacedEnds>& ends, double least_share)
 {
-  cv::Mat inside(grid_.size.y(), grid_.size.x(), CV_32FC1, 1.0f);
-  for (const PlacedEnds& placed : ends)
-  {
-    const RigidTransform ct_from_room = placed.room_from_ct.inverse();
-    for (int row = 0; row < inside.rows; ++row)
-    {
-      for (int column = 0; column < inside.cols; ++column)
-      {
-        const Ray ray = geometry_->backProject(grid_.first + Eigen::Vector2d(column, row).cwiseProduct(grid_.step));
-        if (placed.ends.cut({ ct_from_room * ray.source, ct_from_room.linear() * ray.direction }))
-        {
-          inside.at<float>(row, column) = 0.0f;
-        }
-      }
-    }
-  }
+  cv::Mat inside = insideEnds(*geometry_, grid_, ends);
   // The pose is not the final one, and a bin's other rays are to be inside too.
   cv::erode(inside, inside, cv::Mat(), cv::Point(-1, -1), 2, cv::BORDER_REFLECT);
   const cv::Rect without_border(border_, border_, size_.width, size_.height);

@@ -244,23 +244,8 @@ PoseSearch::Template PoseSearch::render(const View& view, const PosePair& poses,
   bodies_.target->render(*view.geometry, grid, poses.target, centre, image);
   bodies_.rest->render(*view.geometry, grid, poses.rest, centre, rest);
   image += rest;
-  cv::Mat inside_ct(image.size(), CV_32FC1, 1.0f);
-  for (const PlacedEnds& placed :
-       { PlacedEnds{ bodies_.target_ends, poses.target }, PlacedEnds{ bodies_.rest_ends, poses.rest } })
-  {
-    const RigidTransform ct_from_room = placed.room_from_ct.inverse();
-    for (int row = 0; row < image.rows; ++row)
-    {
-      for (int column = 0; column < image.cols; ++column)
-      {
-        const Ray ray = view.geometry->backProject(grid.first + Eigen::Vector2d(column, row).cwiseProduct(grid.step));
-        if (placed.ends.cut({ ct_from_room * ray.source, ct_from_room.linear() * ray.direction }))
-        {
-          inside_ct.at<float>(row, column) = 0.0f;
-        }
-      }
-    }
-  }
+  const cv::Mat inside_ct =
+      insideEnds(*view.geometry, grid, { { bodies_.target_ends, poses.target }, { bodies_.rest_ends, poses.rest } });
   Template drr;
   cv::Mat valid;
   drr.gradients = normalisedGradients(image, inside_ct, view.sigma, valid)(view.inside);
