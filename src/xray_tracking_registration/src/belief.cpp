@@ -26,7 +26,7 @@ double stretched(double similarity)
 
 double ratioOf(const BeliefFigures& figures)
 {
-  return figures.here > 0.0 ? std::clamp((figures.here - figures.rival) / figures.here, -1.0, 1.0) : -1.0;
+  return figures.here > 0.0 ? std::clamp((figures.here - figures.rival) / figures.here, -0.2, 0.4) : -0.2;
 }
 
 constexpr double kLeast = 1e-4;

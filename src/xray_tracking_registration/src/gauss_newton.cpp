@@ -10,7 +10,8 @@ namespace xray_tracking
 {
 namespace
 {
-constexpr float kHuber = 2.5f;        // in standard deviations
+constexpr Eigen::Index kMedianOf = 1000;  // pixels, at least, that a median is taken of
+constexpr float kHuber = 2.5f;            // in standard deviations
 constexpr float kDeformation = 1.5f;  // how far parts of the rest are from where its pose, a rigid one, has them [mm]
 constexpr double kSmallTranslation = 0.02;  // a step that ends the iterations [mm]
 constexpr double kSmallRotation = 0.02 * M_PI / 180.0;
@@ -20,17 +21,22 @@ constexpr double kMaxSaturation = 3.0;
 /// What is known of a saturation before the images are seen: 0.2 within 0.5, from patients' trunks to metal.
 constexpr double kSaturationInformation = 4.0;
 
-/// Standard deviation of what counts, from the median size.
+/// Standard deviation of what counts, from the median size, which a few hundred pixels tell within some per cent.
 float robustDeviation(const Eigen::VectorXf& residual, const Eigen::VectorXf& valid)
 {
+  const Eigen::Index step = std::max<Eigen::Index>(1, residual.size() / kMedianOf);
   std::vector<float> sizes;
-  sizes.reserve(residual.size());
-  for (Eigen::Index n = 0; n < residual.size(); ++n)
+  sizes.reserve(residual.size() / step + 1);
+  for (Eigen::Index n = 0; n < residual.size(); n += step)
   {
     if (valid[n] > 0.0f)
     {
       sizes.push_back(std::abs(residual[n]));
     }
+  }
+  if (sizes.empty())
+  {
+    return 0.0f;
   }
   std::nth_element(sizes.begin(), sizes.begin() + sizes.size() / 2, sizes.end());
   return 1.4826f * sizes[sizes.size() / 2];

@@ -172,10 +172,25 @@ cv::Mat ViewLevel::highPassed(const cv::Mat& image) const
   // The local mean of what counts alone.
   cv::Mat counted = image.clone();
   scaleRows(counts_, counted);
-  cv::Mat mean = blurred(counted);
-  scaleRows(inverse_share_, mean);
-  cv::Mat passed = image(without_border) - mean;
-  scaleRows(counts_(without_border), passed);
+  const cv::Mat mean = blurred(counted);
+  // What counts is 0 or 1: it is left as it is by being counted.
+  cv::Mat passed = counted(without_border);
+  const int channels = image.channels();
+  for (int row = 0; row < passed.rows; ++row)
+  {
+    const float* share = inverse_share_.ptr<float>(row);
+    const float* counts = counts_.ptr<float>(row + border_) + border_;
+    const float* means = mean.ptr<float>(row);
+    float* values = passed.ptr<float>(row);
+    for (int column = 0; column < passed.cols; ++column)
+    {
+      const float factor = share[column] * counts[column];
+      for (int channel = 0; channel < channels; ++channel)
+      {
+        *values++ -= factor * *means++;
+      }
+    }
+  }
   return passed;
 }
 

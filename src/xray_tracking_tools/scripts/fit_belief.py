@@ -15,6 +15,8 @@ import numpy
 BELIEVED_TRE_MM = 1.5  # what a believed result is not off by; kBelievedError of registration.h
 RIGHT_TRE_MM = 1.0
 LEARNT_ERROR_MM = 1.0
+AS_GOOD = 0.95  # share of a result's similarity from which on a rival is as good; kAsGood of descender.cpp
+
 
 def stretched(similarity):
     return math.atanh(min(max(similarity, -0.999), 0.999))
@@ -26,8 +28,8 @@ def log_of(value, least):
 
 def margin(row):
     if row['here'] <= 0.0:
-        return -1.0
-    return min(max((row['here'] - row['rival']) / row['here'], -1.0), 1.0)
+        return -0.2
+    return min(max((row['here'] - row['rival']) / row['here'], -0.2), 0.4)
 
 
 # The terms of belief.cpp: name, what the model is given of the figures, and the sign that its weight must have: +1 if
@@ -113,8 +115,8 @@ def fit(rows, ridge):
 
 
 def rivalled(rows):
-    """Refused though probable enough when the table was made: another place was as much alike."""
-    return numpy.array([row['status'] != 0 and row['probability'] >= 0.95 for row in rows])
+    """Refused whatever the figures say: another place was as much alike, as descender.cpp has it."""
+    return numpy.array([row['rival_share'] > AS_GOOD for row in rows])
 
 
 def judge(name, rows, p, threshold):

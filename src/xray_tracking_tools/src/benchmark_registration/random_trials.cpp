@@ -165,6 +165,12 @@ private:
   void addOtherCt(const std::string& kind, RegistrationRequest& request)
   {
     const RandomAnatomy other = randomAnatomy(random_, scans_, false);
+    // Another part of the same body may rightly be found.
+    const auto body = [](const std::string& name) { return name.substr(0, name.find_first_of(" ;")); };
+    if (body(other.name) == body(subject_.anatomy.name))
+    {
+      return;
+    }
     const Registration registration(bodiesOf(other), other.box);
     request.room_from_patient = request.room_from_patient * Eigen::Translation3d(box().center() - other.box.center());
     add(kind, registration, request, gold(0), true);

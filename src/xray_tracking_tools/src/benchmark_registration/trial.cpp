@@ -81,7 +81,7 @@ std::vector<Trial> registerAll(const Subject& subject, const Registration& regis
 void writeTrials(const std::vector<Trial>& trials, const std::string& path)
 {
   std::ofstream file(path);
-  file << "subject,kind,views,start_mm,start_deg,tre_mm,angle_deg,status,cpu_ms,probability,rivals,expected_error_mm,"
+  file << "subject,kind,views,start_mm,start_deg,tre_mm,angle_deg,status,cpu_ms,probability,rival_share,expected_error_mm,"
           "least_similarity,least_coarse_similarity,pull_mm,here,rival,distinctness\n";
   for (const Trial& trial : trials)
   {
@@ -89,10 +89,11 @@ void writeTrials(const std::vector<Trial>& trials, const std::string& path)
     std::replace(subject.begin(), subject.end(), ',', ';');
     const RegistrationResult& result = trial.result;
     const BeliefFigures& figures = result.figures;
+    const double rival_share = result.rivals.empty() ? 0.0 : result.rivals.front().similarity / result.similarity_after;
     file << subject << ',' << trial.kind << ',' << result.views.size() << ',' << trial.start_error << ','
          << trial.start_angle / kDegree << ',' << trial.error << ',' << trial.angle / kDegree << ','
          << static_cast<int>(result.status) << ',' << trial.cpu_ms << ',' << result.probability << ','
-         << result.rivals.size() << ',' << figures.expected_error_mm << ',' << figures.least_similarity << ','
+         << rival_share << ',' << figures.expected_error_mm << ',' << figures.least_similarity << ','
          << figures.least_coarse_similarity << ',' << figures.pull_mm << ',' << figures.here << ',' << figures.rival
          << ',' << figures.distinctness << '\n';
   }
