@@ -31,16 +31,15 @@ double ratioOf(const BeliefFigures& figures)
 
 constexpr double kLeast = 1e-4;
 /// docs/belief.md says on what these were learnt and judged; fit_belief.py prints them.
-constexpr double kOffset = 0.00689;
-const std::array<Term, 6> kTerms = { {
-    { "expected error", [](const BeliefFigures& f) { return std::log(std::max(f.expected_error_mm, 0.1)); }, -0.489,
-      -2.84 },
-    { "similarity", [](const BeliefFigures& f) { return stretched(f.least_similarity); }, 0.408, 2.37 },
-    { "coarse similarity", [](const BeliefFigures& f) { return stretched(f.least_coarse_similarity); }, 0.43, 0.644 },
-    { "views' disagreement", [](const BeliefFigures& f) { return std::log(std::max(f.pull_mm, 0.03)); }, -1.71,
-      -0.251 },
-    { "distinctness", [](const BeliefFigures& f) { return std::log(std::max(f.distinctness, 0.5)); }, 1.87, 2.04 },
-    { "margin over other places", [](const BeliefFigures& f) { return ratioOf(f); }, 0.126, 0.435 },
+constexpr double kOffset = 0.323;
+const std::array<Term, 5> kTerms = { {
+    { "expected error", [](const BeliefFigures& f) { return std::log(std::max(f.expected_error_mm, 0.1)); }, -0.564,
+      -2.24 },
+    { "similarity", [](const BeliefFigures& f) { return stretched(f.least_similarity); }, 0.454, 1.78 },
+    { "views' disagreement", [](const BeliefFigures& f) { return std::log(std::max(f.pull_mm, 0.03)); }, -1.74,
+      -0.346 },
+    { "distinctness", [](const BeliefFigures& f) { return std::log(std::max(f.distinctness, 0.5)); }, 1.88, 1.67 },
+    { "margin over other places", [](const BeliefFigures& f) { return ratioOf(f); }, 0.17, 3.7 },
 } };
 
 /// How probable it is that an error of the expected size, along one direction, stays below the limit.

@@ -37,7 +37,6 @@ def margin(row):
 TERMS = (
     ('expected error', lambda row: log_of(row['expected_error_mm'], 0.1), -1),
     ('similarity', lambda row: stretched(row['least_similarity']), 1),
-    ('coarse similarity', lambda row: stretched(row['least_coarse_similarity']), 1),
     ("views' disagreement", lambda row: log_of(row['pull_mm'], 0.03), -1),
     ('distinctness', lambda row: log_of(row['distinctness'], 0.5), 1),
     ('margin over other places', margin, 1),

@@ -21,8 +21,8 @@ namespace
 {
 constexpr double kRight = 1.0;  // [mm]
 /// Between two exposures, along what both of two views see. What only one view sees of a motion cannot be found to
-/// contradict the other view [mm].
-constexpr double kContradiction = 2.0;
+/// contradict the other view; nor a smaller one, as a pose between both is wrong for neither [mm].
+constexpr double kContradiction = 2.0 * kFalseSuccess;
 
 enum class Wrong
 {
