@@ -8,6 +8,7 @@
 #include <stdexcept>
 #include <vector>
 
+#include "faulty_lines.h"
 #include "pixel_type.h"
 #include "stuck_pixels.h"
 #include "xray_tracking_core/image/xray_field.h"
@@ -95,6 +96,7 @@ struct ImageInspector::Implementation
   ImageReport report;
   XrayField field;
   StuckPixels stuck;
+  FaultyLines lines;
 
   template <typename Pixel>
   void markSaturation(const cv::Mat& image, const IntensityModel& intensity)
@@ -179,6 +181,7 @@ const ImageReport& ImageInspector::inspect(const cv::Mat& image, const Intensity
   withPixelType(image, [&](auto pixel) { i.markSaturation<decltype(pixel)>(image, intensity); });
   i.field.mark(i.report.part, BORDER, i.report.flaws);
   i.stuck.mark(image, i.report.part, i.report.flaws);
+  i.lines.mark(image, i.report.part, i.report.flaws);
   i.count();
   return i.report;
 }
