@@ -179,6 +179,33 @@ TEST_F(ImageInspectorTest, findsLinesOfAnotherGain)
   EXPECT_LE(inspect(image).stuck, 1e-4);
 }
 
+/// A clock in white, which goes on.
+TEST_F(ImageInspectorTest, repairsLettering)
+{
+  for (const double size : { 0.5, 0.8, 1.2 })
+  {
+    const auto written = [&](const cv::Mat& image, const std::string& text)
+    {
+      cv::Mat with = image.clone();
+      cv::putText(with, text, { 150, 250 }, cv::FONT_HERSHEY_SIMPLEX, size, cv::Scalar(65535), 2);
+      return with;
+    };
+    const cv::Mat first = written(Scene().expose(), "0000 12:30:00");
+    const ImageReport& report = inspect(first);
+    EXPECT_LE(report.stuck, 0.04);
+    EXPECT_EQ(0.0, report.border);
+    PixelRepair repair;
+    repair.add(report, first.size());
+    const cv::Mat later = Scene().expose(kAir, 4.0, 2);
+    cv::Mat repaired, difference;
+    repair.apply(written(later, "0017 12:34:58"), repaired);
+    cv::absdiff(repaired, later, difference);
+    double largest = 0.0;
+    cv::minMaxLoc(difference, nullptr, &largest);
+    EXPECT_LT(largest, 0.2 * kAir) << "letters are 65535, " << size;
+  }
+}
+
 TEST_F(ImageInspectorTest, smallThingsInThePatientAreNotStuck)
 {
   // Metal beads and wires of any width, seen through a detector's blur.
