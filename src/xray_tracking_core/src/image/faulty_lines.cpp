@@ -41,7 +41,7 @@ void FaultyLines::compare(const cv::Mat& values, const cv::Mat& flaws, const cv:
   {
     for (int x = columns.start; x < columns.end; ++x)
     {
-      if ((flawed[0][x] | flawed[1][x] | flawed[2][x]) == 0)
+      if ((flawed[0][x] | (flawed[1][x] & BORDER) | flawed[2][x]) == 0)
       {
         visit(rows[1][x] - rows[0][x], rows[1][x] - rows[2][x]);
       }

@@ -15,8 +15,8 @@ namespace xray_tracking
 class FaultyLines
 {
 public:
-  /// Sets STUCK in the flaws of a part of an image, for lines up to 3 px wide; pixels with a flaw do not count. Where a
-  /// quarter of the rows, or of the columns, are odd, none of them is marked.
+  /// Sets STUCK in the flaws of a part of an image, for lines up to 3 px wide; neighbours with a flaw do not count.
+  /// Where a quarter of the rows, or of the columns, are odd, none of them is marked.
   void mark(const cv::Mat& image, const cv::Rect& part, cv::Mat& flaws);
 
 private:
