@@ -59,7 +59,7 @@ TEST(RepeatedImageTest, partsAreToldToo)
     image.colRange(0, 60) = cv::Scalar(0);
     return image;
   };
-  for (const auto mixed : { +[](int y) { return y >= 400; }, +[](int y) { return y % 2 == 0; },
+  for (const auto mixed : { +[](int y) { return y >= 360; }, +[](int y) { return y % 2 == 0; },
                             +[](int y) { return y % 2 == 1; }, +[](int y) { return y < 250; } })
   {
     RepeatedImageCheck check;

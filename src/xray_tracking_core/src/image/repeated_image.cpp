@@ -19,7 +19,7 @@ std::uint64_t mixed(std::uint64_t x)
 
 constexpr int kEvery = 8;          // rows
 constexpr int kLeastSteps = 32;    // of a row that noise tells from others
-constexpr std::size_t kShare = 8;  // of its rows
+constexpr std::size_t kShare = 4;  // of its rows
 
 /// Four sums side by side, as one has to wait for its last multiplication. Each step is a bijection of the sum.
 struct Sums
