@@ -227,6 +227,12 @@ TEST(XrayFieldTest, lagIsNoExposure)
   EXPECT_NEAR(images, 36, 4) << "a dose that stays";
   EXPECT_EQ("", nothing(Scene().expose()));
   EXPECT_NE("", nothing(Scene().expose(0.03 * kAir, 0.5)));
+  cv::Mat eight_bit;
+  Scene().expose().convertTo(eight_bit, CV_8U, 255.0 / kAir);
+  field.update(eight_bit, { IntensityModel::Kind::COUNTS, 0.0, {} });
+  EXPECT_EQ("", field.nothing()) << "of another scale";
+  EXPECT_EQ("", nothing(Scene().expose()));
+  EXPECT_NE("", nothing(Scene().expose(0.03 * kAir, 0.5)));
   field.forget();
   EXPECT_EQ("", nothing(Scene().expose(0.03 * kAir, 0.5)));
 }

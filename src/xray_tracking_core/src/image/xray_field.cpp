@@ -54,6 +54,7 @@ struct XrayField::Implementation
   FieldBorder border;
   std::string nothing;
   cv::Mat light_before;  ///< of the last image that showed something, fading
+  int type_before = -1;  ///< of that image
 
   /// Whether the light fell nearly everywhere by more than a factor that dose and blades explain.
   bool isLag() const
@@ -121,7 +122,7 @@ void XrayField::update(const cv::Mat& image, const IntensityModel& intensity)
     i.border.close(i.bins);
     return;
   }
-  if (i.isLag())
+  if (i.type_before == image.type() && i.isLag())
   {
     i.nothing =
         "the image shows nothing: it has less than a sixteenth of the light of those before, as what is left of "
@@ -131,6 +132,7 @@ void XrayField::update(const cv::Mat& image, const IntensityModel& intensity)
     return;
   }
   i.bins.light().copyTo(i.light_before);
+  i.type_before = image.type();
 }
 
 void XrayField::forget()
