@@ -38,7 +38,8 @@ public:
   void forget();
 
   /// Why the last image as a whole shows nothing: it is the same everywhere, not above the offset, noise or stripes
-  /// alone, what is left of the image before, or there is no field; empty where it shows something. Then all of it is outside.
+  /// alone, what is left of the image before, or there is no field; empty where it shows something. Then all of it is
+  /// outside.
   const std::string& nothing() const;
   /// Share of a rectangle of the image's that is outside the field, what is beyond the image included, 0..1.
   double outside(const cv::Rect& part) const;
