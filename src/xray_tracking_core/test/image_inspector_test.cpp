@@ -139,6 +139,73 @@ TEST_F(ImageInspectorTest, findsDeadRowsAndColumns)
   EXPECT_LE(shareWith(report, STUCK, [&](double x, double y) { return !lines(x, y); }), 1e-4);
 }
 
+/// A panel's lines of another gain: no pixel of them is apart by much more than its noise.
+TEST_F(ImageInspectorTest, findsLinesOfAnotherGain)
+{
+  const auto factor = [](int x, int y)
+  {
+    const double row = y % 37 == 11 ? 1.2 : y == 300 || y == 301 ? 0.8 : 1.0;
+    return row * (x % 43 == 7 ? 0.8 : x == 260 && y >= 256 ? 1.25 : 1.0);
+  };
+  for (const double quantum : { 0.2, 0.5 })
+  {
+    const cv::Mat clean = Scene().expose(kAir, quantum);
+    cv::Mat image = clean.clone();
+    for (int y = 0; y < kSize; ++y)
+    {
+      for (int x = 0; x < kSize; ++x)
+      {
+        auto& counts = image.at<std::uint16_t>(y, x);
+        counts = cv::saturate_cast<std::uint16_t>(kOffset + factor(x, y) * (counts - kOffset));
+      }
+    }
+    const ImageReport& report = inspect(image);
+    const Shape lines = [&](double x, double y) { return factor(static_cast<int>(x), static_cast<int>(y)) != 1.0; };
+    EXPECT_GE(shareWith(report, STUCK, lines), 0.98) << quantum;
+    EXPECT_LE(shareWith(report, STUCK, [&](double x, double y) { return !lines(x, y); }), 1e-4) << quantum;
+    PixelRepair repair;
+    repair.add(report, image.size());
+    cv::Mat repaired;
+    repair.apply(image, repaired);
+    EXPECT_EQ(0.0, inspect(repaired).border);
+    EXPECT_LE(inspector_.report().stuck, 1e-4) << quantum;
+  }
+  // Every other row, as of two amplifiers: nothing would be left to mend them by.
+  cv::Mat image = Scene().expose();
+  for (int y = 0; y < kSize; y += 2)
+  {
+    image.row(y) *= 1.1;
+  }
+  EXPECT_LE(inspect(image).stuck, 1e-4);
+}
+
+/// A clock in white, which goes on.
+TEST_F(ImageInspectorTest, repairsLettering)
+{
+  for (const double size : { 0.5, 0.8, 1.2 })
+  {
+    const auto written = [&](const cv::Mat& image, const std::string& text)
+    {
+      cv::Mat with = image.clone();
+      cv::putText(with, text, { 150, 250 }, cv::FONT_HERSHEY_SIMPLEX, size, cv::Scalar(65535), 2);
+      return with;
+    };
+    const cv::Mat first = written(Scene().expose(), "0000 12:30:00");
+    const ImageReport& report = inspect(first);
+    EXPECT_LE(report.stuck, 0.04);
+    EXPECT_EQ(0.0, report.border);
+    PixelRepair repair;
+    repair.add(report, first.size());
+    const cv::Mat later = Scene().expose(kAir, 4.0, 2);
+    cv::Mat repaired, difference;
+    repair.apply(written(later, "0017 12:34:58"), repaired);
+    cv::absdiff(repaired, later, difference);
+    double largest = 0.0;
+    cv::minMaxLoc(difference, nullptr, &largest);
+    EXPECT_LT(largest, 0.2 * kAir) << "letters are 65535, " << size;
+  }
+}
+
 TEST_F(ImageInspectorTest, smallThingsInThePatientAreNotStuck)
 {
   // Metal beads and wires of any width, seen through a detector's blur.

@@ -272,7 +272,7 @@ TEST(TreatmentSetup, RejectsBadFiles)
   expectRejected("[0.5, -0.5, 0.5, -0.5]", "[0.5, -0.5, 0.5, 0]", { "initial_pose", "unit norm" });
   expectRejected("initial_pose:", "pose:", { "initial_pose", "missing" });
   expectRejected("max: [10, 22, 36]", "max: [10, -22, 36]", { "target_box_mm", "-22", "below" });
-  expectRejected("site: a key", "ct_content: bones\nsite: a key", { "ct_content", "bones", "bone_in_air" });
+  expectRejected("site: a key", "ct_content: bones\nsite: a key", { "ct_content", "bones", "bone_in_air or labels" });
   expectRejected("  detector_a: {x", "  detector_c: {x", { "regions.detector_c", "detector_a, detector_b" });
   expectRejected("width: 5", "width: 6", { "regions.detector_a", "inside the image of 6 x 4" });
   expectRejected("width: 5", "width: 0", { "regions.detector_a", "inside the image" });

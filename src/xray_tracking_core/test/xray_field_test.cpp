@@ -195,4 +195,45 @@ TEST(XrayFieldTest, namesWhatItCannotUse)
                                      { "type 16" });
 }
 }  // namespace
+/// What a panel remembers when X-rays go off; and what is darker for other reasons.
+TEST(XrayFieldTest, lagIsNoExposure)
+{
+  XrayField field;
+  const auto nothing = [&](const cv::Mat& image)
+  {
+    field.update(image, kCounts);
+    return field.nothing();
+  };
+  EXPECT_EQ("", nothing(Scene().expose(0.02 * kAir, 1.0))) << "the first one is judged alone";
+  EXPECT_EQ("", nothing(Scene().expose()));
+  EXPECT_EQ("", nothing(Scene().expose(0.1 * kAir))) << "a tenth of the dose";
+  EXPECT_EQ("", nothing(Scene().expose()));
+  const Shape blades = [](double x, double y) { return x < 180.0 || x > 280.0 || y < 200.0 || y > 300.0; };
+  EXPECT_EQ("", nothing(Scene().cover(blades, 0.002).expose())) << "blades leave a twentieth of the field";
+  EXPECT_EQ("", nothing(Scene().expose()));
+  int images = 0;
+  for (; images < 200; ++images)
+  {
+    // A thirty-third of the light, noise anew.
+    const std::string what = nothing(Scene().expose(0.03 * kAir, 0.5, 2 + static_cast<std::uint64_t>(images)));
+    if (what.empty())
+    {
+      break;
+    }
+    EXPECT_NE(std::string::npos, what.find("a sixteenth of the light"));
+    EXPECT_EQ(1.0, field.outside({ 100, 100, 200, 200 }));
+  }
+  // 0.98^n = 16 * 0.03 at n = 36.
+  EXPECT_NEAR(images, 36, 4) << "a dose that stays";
+  EXPECT_EQ("", nothing(Scene().expose()));
+  EXPECT_NE("", nothing(Scene().expose(0.03 * kAir, 0.5)));
+  cv::Mat eight_bit;
+  Scene().expose().convertTo(eight_bit, CV_8U, 255.0 / kAir);
+  field.update(eight_bit, { IntensityModel::Kind::COUNTS, 0.0, {} });
+  EXPECT_EQ("", field.nothing()) << "of another scale";
+  EXPECT_EQ("", nothing(Scene().expose()));
+  EXPECT_NE("", nothing(Scene().expose(0.03 * kAir, 0.5)));
+  field.forget();
+  EXPECT_EQ("", nothing(Scene().expose(0.03 * kAir, 0.5)));
+}
 }  // namespace xray_tracking

@@ -78,14 +78,14 @@ class Detector:
             rospy.sleep(0.01)
 
     def send(self, stamp, image, repeat=False):
-        """@param repeat: as it is; else with the last bits of its first pixels changed, as a detector's noise would"""
+        """@param repeat: as it is; else with last bits of its pixels changed, as a detector's noise would"""
         image.header.stamp = rospy.Time.from_sec(stamp)
         if not repeat:
             Detector.sent += 1
-            pixels = bytearray(image.data)
-            for bit in range(12):
-                pixels[4 * bit] = (pixels[4 * bit] & 0xFE) | (Detector.sent >> bit & 1)
-            image.data = bytes(pixels)
+            pixels = numpy.frombuffer(image.data, numpy.uint8).copy()
+            bits = numpy.random.RandomState(Detector.sent).randint(0, 2, pixels[::4].size, numpy.uint8)
+            pixels[::4] = pixels[::4] & 0xFE | bits
+            image.data = pixels.tobytes()
         self.publisher.publish(image)
 
     def answer(self):

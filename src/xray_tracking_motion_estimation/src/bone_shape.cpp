@@ -5,7 +5,7 @@
 #include <stdexcept>
 
 #include "xray_tracking_core/volume/attenuation.h"
-#include "xray_tracking_core/volume/ct_volume.h"
+#include "xray_tracking_core/volume/ct_content.h"
 #include "xray_tracking_core/volume/neck_phantom.h"
 
 namespace xray_tracking
@@ -15,7 +15,8 @@ namespace
 constexpr double kBoneHu = 200.0;
 constexpr double kStep = 1.0;  // mm
 
-std::vector<Eigen::Vector3d> bonePoints(const Eigen::AlignedBox3d& box,
+/// @param hu of a point; above `bone` it is one
+std::vector<Eigen::Vector3d> bonePoints(const Eigen::AlignedBox3d& box, double bone,
                                         const std::function<double(const Eigen::Vector3d&)>& hu)
 {
   std::vector<Eigen::Vector3d> points;
@@ -26,7 +27,7 @@ std::vector<Eigen::Vector3d> bonePoints(const Eigen::AlignedBox3d& box,
       for (double x = box.min().x() + 0.5 * kStep; x < box.max().x(); x += kStep)
       {
         const Eigen::Vector3d point(x, y, z);
-        if (hu(point) > kBoneHu)
+        if (hu(point) > bone)
         {
           points.push_back(point);
         }
@@ -41,10 +42,11 @@ std::vector<Eigen::Vector3d> bonePoints(const TreatmentSetup& setup)
   if (setup.ct_path.empty())
   {
     const NeckPhantom phantom;
-    return bonePoints(setup.target_box,
+    return bonePoints(setup.target_box, kBoneHu,
                       [&](const Eigen::Vector3d& point) { return huFromMaterials(phantom.at(point)); });
   }
-  const CtVolume ct = readCtVolume(setup.ct_path);
+  const PatientCt read = readPatientCt(setup.ct_path, setup.ct_content);
+  const CtVolume& ct = read.volume;
   const Eigen::Affine3d index_from_patient = ct.grid.patient_from_index.inverse();
   const auto nearest = [&](const Eigen::Vector3d& point)
   {
@@ -52,7 +54,7 @@ std::vector<Eigen::Vector3d> bonePoints(const TreatmentSetup& setup)
     const bool inside = index.minCoeff() >= 0 && (ct.grid.size - index).minCoeff() > 0;
     return inside ? static_cast<double>(ct.hu[ct.grid.offset(index.x(), index.y(), index.z())]) : -1000.0;
   };
-  return bonePoints(setup.target_box, nearest);
+  return bonePoints(setup.target_box, read.content == CtContent::LABELS ? 0.0 : kBoneHu, nearest);
 }
 }  // namespace
 

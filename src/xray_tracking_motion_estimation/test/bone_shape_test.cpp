@@ -51,6 +51,20 @@ protected:
   TreatmentSetup setup_;
 };
 
+TEST_F(BoneShape, OfALabelMapIsThatOfTheSameBone)
+{
+  const TargetShape shape = boneShape(setup_);
+  CtVolume labels = readCtVolume(path_);
+  for (std::int16_t& value : labels.hu)
+  {
+    value = static_cast<std::int16_t>(value == 700 ? 3 : 0);
+  }
+  writeCtVolume(labels, path_);
+  const TargetShape same = boneShape(setup_);
+  EXPECT_EQ(same.centroid, shape.centroid);
+  EXPECT_EQ(same.moments, shape.moments);
+}
+
 TEST_F(BoneShape, IsThatOfABlock)
 {
   const TargetShape shape = boneShape(setup_);

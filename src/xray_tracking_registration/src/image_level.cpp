@@ -7,6 +7,8 @@
 
 #include <opencv2/imgproc.hpp>
 
+#include "binned_image.h"
+
 namespace xray_tracking
 {
 namespace
@@ -101,25 +103,9 @@ ViewLevel::ViewLevel(const ProjectionGeometry& geometry, const cv::Mat& attenuat
   }
   const cv::Rect pixels(bordered.x * bin, bordered.y * bin, bordered.width * bin, bordered.height * bin);
   grid_ = PixelGrid::binnedRegion({ pixels.x, pixels.y }, { pixels.width, pixels.height }, bin);
-  cv::Mat binned;
-  cv::Mat shares;
-  if (usable.empty() || cv::countNonZero(usable(pixels)) == pixels.area())
-  {
-    cv::resize(attenuation(pixels), binned, bordered.size(), 0.0, 0.0, cv::INTER_AREA);
-  }
-  else
-  {
-    // Means of what is usable alone.
-    cv::Mat used;
-    cv::Mat weight;
-    attenuation(pixels).copyTo(used, usable(pixels));
-    cv::Mat(usable(pixels) != 0).convertTo(weight, CV_32F, 1.0 / 255.0);
-    cv::resize(used, binned, bordered.size(), 0.0, 0.0, cv::INTER_AREA);
-    cv::resize(weight, shares, bordered.size(), 0.0, 0.0, cv::INTER_AREA);
-    binned /= cv::max(shares, 1e-3);
-  }
-  leaveOut(shares, ends, least_share);
-  measured_image_ = highPassed(binned).clone();
+  const BinnedImage image = binned(attenuation, usable, bordered, bin);
+  leaveOut(image.share, ends, least_share);
+  measured_image_ = highPassed(image.mean).clone();
   measured_ = flattened(measured_image_);
   if (normalise(measured_) == 0.0f)
   {

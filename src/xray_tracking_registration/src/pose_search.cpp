@@ -7,6 +7,7 @@
 #include <tbb/parallel_for.h>
 #include <opencv2/imgproc.hpp>
 
+#include "binned_image.h"
 #include "xray_tracking_core/evaluation/evaluation.h"
 
 namespace xray_tracking
@@ -24,6 +25,7 @@ constexpr double kMinRotationStep = 6.0 * M_PI / 180.0;
 constexpr double kMaxRotationStep = 14.0 * M_PI / 180.0;
 constexpr double kAround = 4.0;       // standard deviation of what a gradient is compared with [bins]
 constexpr double kLeastEnergy = 0.1;  // of the mean: where there is nothing, noise is not to be made an edge of
+constexpr double kAllUsable = 0.998;  // of a bin, but for rounding
 constexpr float kLeastSeen = 0.5f;    // of the target in every view
 constexpr double kMostBins = 1e6;     // of a view: a hundred times as many as usual
 constexpr std::size_t kPeaksEach = 16;
@@ -195,33 +197,22 @@ PoseSearch::View PoseSearch::makeView(const RegistrationView& from, const cv::Ma
   if (!there.empty())
   {
     const cv::Rect inside = there - area.tl();
-    const cv::Rect from_pixels(there.tl() * view.bin, there.size() * view.bin);
-    cv::Mat binned;
-    cv::resize(attenuation(from_pixels), binned, there.size(), 0.0, 0.0, cv::INTER_AREA);
+    const BinnedImage bins = binned(attenuation, from.usable, there, view.bin);
     // Sobel's neighbours of the outermost bins; they do not count themselves.
-    cv::copyMakeBorder(binned, image, inside.y, area.height - inside.y - inside.height, inside.x,
+    cv::copyMakeBorder(bins.mean, image, inside.y, area.height - inside.y - inside.height, inside.x,
                        area.width - inside.x - inside.width, cv::BORDER_REPLICATE);
-    cv::Mat share(there.size(), CV_32FC1, 1.0f);
-    if (!from.usable.empty())
-    {
-      cv::Mat counting;
-      cv::threshold(from.usable(from_pixels), counting, 0.0, 255.0, cv::THRESH_BINARY);
-      cv::resize(counting, counting, there.size(), 0.0, 0.0, cv::INTER_AREA);
-      cv::Mat all = counting == 255;
-      all.convertTo(share, CV_32F, 1.0 / 255.0);
-    }
-    share.copyTo(usable(inside));
+    usable(inside).setTo(1.0f, bins.share.empty() ? cv::noArray() : cv::Mat(bins.share > kAllUsable));
   }
   cv::Mat valid;
   const cv::Mat gradients = normalisedGradients(image, usable, view.sigma, valid);
   const cv::Rect core(border, border, area.width - 2 * border, area.height - 2 * border);
   view.searched = area.tl() + core.tl();
-  view.gradients = gradients(core).clone();
-  view.valid = valid(core).clone();
-  view.energy = squaredNorms(view.gradients);
+  view.image.gradients = gradients(core).clone();
+  view.image.valid = valid(core).clone();
+  view.image.energy = squaredNorms(view.image.gradients);
   const cv::Mat ones(view.inside.size(), CV_32FC1, 1.0f);
-  cv::matchTemplate(view.energy, ones, view.whole_energy, cv::TM_CCORR);
-  cv::matchTemplate(view.valid, ones, view.whole_valid, cv::TM_CCORR);
+  cv::matchTemplate(view.image.energy, ones, view.image.whole_energy, cv::TM_CCORR);
+  cv::matchTemplate(view.image.valid, ones, view.image.whole_valid, cv::TM_CCORR);
   view.projected.reserve(translations_.size());
   for (const Eigen::Vector3d& translation : translations_)
   {
@@ -255,26 +246,26 @@ PoseSearch::Template PoseSearch::render(const View& view, const PosePair& poses,
   return drr;
 }
 
-cv::Mat PoseSearch::correlate(const View& view, const Template& drr) const
+cv::Mat PoseSearch::correlate(const Searched& image, const Template& drr)
 {
   cv::Mat surface;
-  cv::matchTemplate(view.gradients, drr.gradients, surface, cv::TM_CCORR);
+  cv::matchTemplate(image.gradients, drr.gradients, surface, cv::TM_CCORR);
   cv::Mat energy;
   cv::Mat counting;
   if (drr.complete)
   {
-    energy = view.whole_energy;
-    counting = view.whole_valid;
+    energy = image.whole_energy;
+    counting = image.whole_valid;
   }
   else
   {
-    cv::matchTemplate(view.energy, drr.valid, energy, cv::TM_CCORR);
-    cv::matchTemplate(view.valid, drr.valid, counting, cv::TM_CCORR);
+    cv::matchTemplate(image.energy, drr.valid, energy, cv::TM_CCORR);
+    cv::matchTemplate(image.valid, drr.valid, counting, cv::TM_CCORR);
   }
   cv::Mat own;
-  cv::matchTemplate(view.valid, drr.energy, own, cv::TM_CCORR);
+  cv::matchTemplate(image.valid, drr.energy, own, cv::TM_CCORR);
   const float least_own = kLeastSeen * static_cast<float>(cv::sum(drr.energy)[0]);
-  const float least_counting = kLeastSeen * static_cast<float>(view.inside.area());
+  const float least_counting = kLeastSeen * static_cast<float>(drr.valid.total());
   for (int row = 0; row < surface.rows; ++row)
   {
     for (int column = 0; column < surface.cols; ++column)
@@ -302,7 +293,7 @@ std::vector<PoseSearch::Peak> PoseSearch::peaks(std::size_t rotation) const
   std::vector<float> similarities(translations_.size(), 0.0f);
   for (const View& view : views_)
   {
-    const cv::Mat surface = correlate(view, render(view, poses, { 0, 0 }));
+    const cv::Mat surface = correlate(view.image, render(view, poses, { 0, 0 }));
     for (std::size_t t = 0; t < translations_.size(); ++t)
     {
       similarities[t] += interpolated(surface, view.projected[t]) / static_cast<float>(views_.size());
@@ -408,18 +399,14 @@ double PoseSearch::similarity(const PosePair& poses) const
     const cv::Point shift(static_cast<int>(std::lround(bins.x() - view.centre.x)),
                           static_cast<int>(std::lround(bins.y() - view.centre.y)));
     const cv::Rect region((view.around + shift).tl() + view.inside.tl() - view.searched, view.inside.size());
-    if ((region & cv::Rect(cv::Point(), view.gradients.size())) != region)
+    if ((region & cv::Rect(cv::Point(), view.image.gradients.size())) != region)
     {
       continue;  // as far out as the bounds allow: nothing was prepared there
     }
-    const Template drr = render(view, poses, shift);
-    View part = view;
-    part.gradients = view.gradients(region);
-    part.energy = view.energy(region);
-    part.valid = view.valid(region);
+    Searched part{ view.image.gradients(region), view.image.energy(region), view.image.valid(region), {}, {} };
     part.whole_energy = cv::Mat(1, 1, CV_32FC1, cv::sum(part.energy)[0]);
     part.whole_valid = cv::Mat(1, 1, CV_32FC1, cv::sum(part.valid)[0]);
-    sum += correlate(part, drr).at<float>(0, 0);
+    sum += correlate(part, render(view, poses, shift)).at<float>(0, 0);
   }
   return sum / static_cast<double>(views_.size());
 }

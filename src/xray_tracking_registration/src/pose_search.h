@@ -45,6 +45,14 @@ public:
   double separation() const;
 
 private:
+  /// What renderings are slid over.
+  struct Searched
+  {
+    cv::Mat gradients;                  ///< CV_32FC2, normalised
+    cv::Mat energy;                     ///< their squared norms
+    cv::Mat valid;                      ///< 1 or 0
+    cv::Mat whole_energy, whole_valid;  ///< sums over the region, wherever it is slid to
+  };
   struct View
   {
     const ProjectionGeometry* geometry;
@@ -53,11 +61,8 @@ private:
     cv::Rect around;     ///< rendered at the start: the target's region with a border [bins of the panel]
     cv::Rect inside;     ///< the region without the border, in `around`
     cv::Point2d centre;  ///< projected at the start [bins]
-    cv::Point searched;  ///< first bin of the images below [bins of the panel]
-    cv::Mat gradients;   ///< CV_32FC2, normalised
-    cv::Mat energy;      ///< their squared norms
-    cv::Mat valid;       ///< 1 or 0
-    cv::Mat whole_energy, whole_valid;   ///< sums over the region, wherever it is slid to
+    cv::Point searched;  ///< first bin of the image below [bins of the panel]
+    Searched image;
     std::vector<cv::Point2f> projected;  ///< of every translation, where the region is slid to
   };
   struct Template
@@ -76,7 +81,7 @@ private:
 
   View makeView(const RegistrationView& view, const cv::Mat& attenuation) const;
   Template render(const View& view, const PosePair& poses, const cv::Point& shift) const;
-  cv::Mat correlate(const View& view, const Template& drr) const;
+  static cv::Mat correlate(const Searched& image, const Template& drr);
   /// Of one orientation.
   std::vector<Peak> peaks(std::size_t rotation) const;
   PosePair pose(const Eigen::Vector3d& rotation, const Eigen::Vector3d& translation) const;

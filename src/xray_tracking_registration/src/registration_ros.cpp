@@ -167,22 +167,23 @@ std::shared_ptr<const Registration> RegistrationRos::makeRegistration(const std:
     throw std::invalid_argument("ct is absent in " + parameters_.setup_file +
                                 ", expected the path of a CT (source: ct)");
   }
-  const CtVolume ct = ct_path.empty() ? NeckPhantom().sampleCt(kPhantomCt) : readCtVolume(ct_path);
+  const PatientCt ct = ct_path.empty() ? PatientCt{ NeckPhantom().sampleCt(kPhantomCt), CtContent::FULL }
+                                       : readPatientCt(ct_path, setup_.ct_content);
+  const VolumeGrid& grid = ct.volume.grid;
   std::optional<TargetMask> mask;
   if (parameters_.bodies == 2)
   {
     const TargetMaskOptions& options = parameters_.mask_options;
-    mask = parameters_.mask == "bone" ? targetMaskFromBone(ct, setup_.target_box, options)
+    mask = parameters_.mask == "bone" ? targetMaskOf(ct, setup_.target_box, options)
            : parameters_.mask == "box"
-               ? targetMaskFromBox(ct.grid, setup_.target_box, options)
-               : targetMaskFromLabels(ct.grid, readLabelMap(parameters_.label_map), parameters_.label, options);
+               ? targetMaskFromBox(grid, setup_.target_box, options)
+               : targetMaskFromLabels(grid, readLabelMap(parameters_.label_map), parameters_.label, options);
     if (!parameters_.mask_file.empty())
     {
       writeTargetMask(*mask, parameters_.mask_file);
     }
   }
-  return std::make_shared<const Registration>(bodiesOf(ct, mask, setup_.ct_content), setup_.target_box,
-                                              parameters_.options);
+  return std::make_shared<const Registration>(bodiesOf(ct, mask), setup_.target_box, parameters_.options);
 }
 
 void RegistrationRos::work()

@@ -121,11 +121,11 @@ class Sender:
     def send(self, exposure, stamp, detectors=DETECTORS):
         Sender.sent += 1
         for name in detectors:
-            # The last bits of the first pixels, as a detector's noise changes them: the same image is no new exposure.
-            pixels = bytearray(exposure.images[name].data)
-            for bit in range(12):
-                pixels[4 * bit] = (pixels[4 * bit] & 0xFE) | (Sender.sent >> bit & 1)
-            exposure.images[name].data = bytes(pixels)
+            # Last bits of the pixels, as a detector's noise changes them: the same image is no new exposure.
+            pixels = np.frombuffer(exposure.images[name].data, np.uint8).copy()
+            bits = np.random.RandomState(Sender.sent).randint(0, 2, pixels[::4].size, np.uint8)
+            pixels[::4] = pixels[::4] & 0xFE | bits
+            exposure.images[name].data = pixels.tobytes()
             for publisher, message in ((self.infos[name], exposure.camera_infos[name]),
                                        (self.images[name], exposure.images[name])):
                 message.header.stamp = stamp

@@ -1,3 +1,5 @@
+#include <filesystem>
+
 #include <gtest/gtest.h>
 
 #include "phantom_exposures.h"
@@ -33,9 +35,8 @@ TEST_P(SequenceTest, RefinesFromTracking)
   }
   const Sequence sequence = loadSequence(std::string(folder) + "/sequences/" + GetParam().sequence);
   const TreatmentSetup& setup = sequence.setup;
-  const CtVolume ct = readCtVolume(setup.ct_path);
-  const Registration registration(bodiesOf(ct, targetMaskFromBone(ct, setup.target_box), setup.ct_content),
-                                  setup.target_box);
+  const PatientCt ct = readPatientCt(setup.ct_path, setup.ct_content);
+  const Registration registration(bodiesOf(ct, targetMaskOf(ct, setup.target_box)), setup.target_box);
   std::mt19937 random(1);
   std::vector<double> errors;
   RigidTransform target_from_rest = RigidTransform::Identity();
@@ -59,6 +60,50 @@ TEST_P(SequenceTest, RefinesFromTracking)
   }
   EXPECT_LE(quantile(errors, 0.5), GetParam().median);
   EXPECT_LE(quantile(errors, 0.95), GetParam().p95);
+}
+
+/// Real X-rays of a wrist, registered with nothing but a segmentation of the radius, solid and of one attenuation. The
+/// reference is good to 0.15 mm; what solid bone lacks moved the median to 0.33 mm, and one in twenty starts elsewhere.
+/// How labels are taken was chosen on thorax_01.
+TEST(LabelMap, RegistersRealWrist)
+{
+  const char* folder = std::getenv("XRAY_TRACKING_SHARED_DATA");
+  const std::string path = std::string(folder == nullptr ? "" : folder) + "/sequences/wrist_real";
+  if (folder == nullptr || !std::filesystem::exists(path))
+  {
+    GTEST_SKIP() << "XRAY_TRACKING_SHARED_DATA is not set, or has no wrist_real";
+  }
+  const Sequence sequence = loadSequence(path);
+  const TreatmentSetup& setup = sequence.setup;
+  PatientCt labels{ readCtVolume(setup.ct_path), CtContent::LABELS };
+  for (std::int16_t& value : labels.volume.hu)
+  {
+    value = static_cast<std::int16_t>(value > -1000 ? 1 : 0);
+  }
+  const Registration registration(bodiesOf(labels, targetMaskOf(labels, setup.target_box)), setup.target_box);
+  std::mt19937 random(1);
+  std::vector<double> errors;
+  for (int n = 0; n < 12; ++n)
+  {
+    const std::size_t exposure = n % sequence.exposures.size();
+    const RigidTransform& gold = sequence.gold_standard[exposure].room_from_patient;
+    RegistrationRequest request;
+    for (std::size_t v = 0; v < setup.detectors.size(); ++v)
+    {
+      request.views.push_back(
+          { setup.detectors[v], readXrayImage(sequence.exposures[exposure].files[v], setup.detectors[v].imageSize()) });
+    }
+    request.intensity = setup.intensity;
+    request.room_from_patient = motionAbout(gold * setup.targetCentre(), randomTwist(random, 1.0, 2.0)) * gold;
+    request.time_budget = std::chrono::duration<double>(60.0);
+    const RegistrationResult result = registration.run(request);
+    errors.push_back(targetRegistrationError(result.room_from_patient, gold, setup.target_box));
+    if (result.status == RegistrationStatus::SUCCESS)
+    {
+      EXPECT_LT(errors.back(), kBelievedError) << "exposure " << exposure;
+    }
+  }
+  EXPECT_LT(quantile(errors, 0.5), 0.6);
 }
 
 INSTANTIATE_TEST_SUITE_P(Thorax, SequenceTest,

@@ -243,9 +243,8 @@ TEST(WideSearchOfRealImages, FindsThePose)
     }
     const Sequence sequence = loadSequence(path);
     const TreatmentSetup& setup = sequence.setup;
-    const CtVolume ct = readCtVolume(setup.ct_path);
-    const Registration registration(bodiesOf(ct, targetMaskFromBone(ct, setup.target_box), setup.ct_content),
-                                    setup.target_box);
+    const PatientCt ct = readPatientCt(setup.ct_path, setup.ct_content);
+    const Registration registration(bodiesOf(ct, targetMaskOf(ct, setup.target_box)), setup.target_box);
     RegistrationRequest request;
     for (std::size_t v = 0; v < setup.detectors.size(); ++v)
     {

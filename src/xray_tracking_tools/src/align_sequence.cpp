@@ -51,9 +51,8 @@ int alignSequence(const po::variables_map& arguments)
     request.views.push_back({ detector, readXrayImage(sequence.exposures.front().files[d], detector.imageSize()) });
   }
   std::cerr << "reading " << setup.ct_path << std::endl;
-  const CtVolume ct = readCtVolume(setup.ct_path);
-  const Registration registration(bodiesOf(ct, targetMaskFromBone(ct, setup.target_box), setup.ct_content),
-                                  setup.target_box);
+  const PatientCt ct = readPatientCt(setup.ct_path, setup.ct_content);
+  const Registration registration(bodiesOf(ct, targetMaskOf(ct, setup.target_box)), setup.target_box);
   const RegistrationResult result = registration.run(request);
   if (result.status == RegistrationStatus::INVALID)
   {

@@ -80,16 +80,15 @@ std::vector<FigureTable> measureSubject(Subject subject, const po::variables_map
   }
   if (const std::string picture = textOf(arguments, "mask_picture"); !picture.empty())
   {
-    drawMask(subject, targetMaskFromBone(subject.ct, subject.box()), picture);
+    drawMask(subject, targetMaskOf(subject.ct, subject.box()), picture);
   }
   std::optional<TargetMask> mask;
   if (bodies == 2)
   {
-    mask = targetMaskFromBone(subject.ct, subject.box());
+    mask = targetMaskOf(subject.ct, subject.box());
   }
-  const Registration registration(bodiesOf(subject.ct, mask, subject.exposures.setup.ct_content), subject.box(),
-                                  options);
-  subject.ct = CtVolume();
+  const Registration registration(bodiesOf(subject.ct, mask), subject.box(), options);
+  subject.ct = PatientCt();
   std::cout << subject.name << ", " << subject.exposures.images.size() << " exposures, " << bodies
             << (bodies == 1 ? " body" : " bodies") << "; errors in mm\n";
   if (arguments.count("wide") != 0)

@@ -8,6 +8,8 @@
 #include <stdexcept>
 #include <vector>
 
+#include "faulty_lines.h"
+#include "lettering.h"
 #include "pixel_type.h"
 #include "stuck_pixels.h"
 #include "xray_tracking_core/image/xray_field.h"
@@ -95,6 +97,8 @@ struct ImageInspector::Implementation
   ImageReport report;
   XrayField field;
   StuckPixels stuck;
+  FaultyLines lines;
+  Lettering lettering;
 
   template <typename Pixel>
   void markSaturation(const cv::Mat& image, const IntensityModel& intensity)
@@ -166,6 +170,7 @@ const ImageReport& ImageInspector::inspect(const cv::Mat& image, const Intensity
                                 std::to_string(image.rows));
   }
   Implementation& i = *implementation_;
+  i.field.forget();
   i.field.update(image, intensity);
   i.report.part = part.empty() ? whole : part;
   i.report.flaws.create(i.report.part.size(), CV_8UC1);
@@ -178,7 +183,10 @@ const ImageReport& ImageInspector::inspect(const cv::Mat& image, const Intensity
   }
   withPixelType(image, [&](auto pixel) { i.markSaturation<decltype(pixel)>(image, intensity); });
   i.field.mark(i.report.part, BORDER, i.report.flaws);
+  i.lettering.mark(image, i.report.part,
+                   intensity.kind == IntensityModel::Kind::COUNTS ? SATURATED_BRIGHT : SATURATED_DARK, i.report.flaws);
   i.stuck.mark(image, i.report.part, i.report.flaws);
+  i.lines.mark(image, i.report.part, i.report.flaws);
   i.count();
   return i.report;
 }

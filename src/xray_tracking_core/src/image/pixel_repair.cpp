@@ -9,7 +9,7 @@ namespace xray_tracking
 {
 namespace
 {
-constexpr int kFarthest = 4;  // of a neighbour [px]
+constexpr int kFarthest = 24;  // of a neighbour, across a line of letters [px]
 constexpr int kLeastNeighbours = 4;
 }  // namespace
 

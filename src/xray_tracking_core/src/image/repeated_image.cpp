@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cstring>
 
+#include "pixel_type.h"
+
 namespace xray_tracking
 {
 namespace
@@ -15,12 +17,24 @@ std::uint64_t mixed(std::uint64_t x)
   return x ^ (x >> 33);
 }
 
-constexpr int kEvery = 8;  // rows
+constexpr int kEvery = 8;          // rows
+constexpr int kLeastSteps = 32;    // of a row that noise tells from others
+constexpr std::size_t kShare = 4;  // of its rows
 
 /// Four sums side by side, as one has to wait for its last multiplication. Each step is a bijection of the sum.
 struct Sums
 {
   std::uint64_t lanes[4] = { 1, 2, 3, 4 };
+
+  std::uint64_t all() const
+  {
+    std::uint64_t sum = 0;
+    for (const std::uint64_t lane : lanes)
+    {
+      sum = mixed(sum ^ lane) + lane;
+    }
+    return sum;
+  }
 
   void add(const std::uint8_t* bytes, std::size_t count)
   {
@@ -42,52 +56,89 @@ struct Sums
     }
   }
 };
-}  // namespace
 
-std::uint64_t imageFingerprint(const cv::Mat& image)
+/// Whether enough pixels differ from the one before them.
+template <typename Pixel>
+bool isLively(const Pixel* row, int count)
 {
-  Sums sums;
-  for (int row = 0; row < image.rows; row += kEvery)
+  int steps = 0;
+  for (int x = 1; x < count && steps < kLeastSteps; ++x)
   {
-    sums.add(image.ptr(row), static_cast<std::size_t>(image.cols) * image.elemSize());
+    steps += row[x] != row[x - 1];
   }
-  std::uint64_t all = mixed((static_cast<std::uint64_t>(image.rows) << 32) ^ static_cast<std::uint64_t>(image.cols));
-  all = mixed(all ^ static_cast<std::uint64_t>(image.type()));
-  for (const std::uint64_t lane : sums.lanes)
-  {
-    all = mixed(all ^ lane) + lane;
-  }
-  return all;
+  return steps >= kLeastSteps;
 }
+}  // namespace
 
 std::optional<std::int64_t> RepeatedImageCheck::add(const cv::Mat& image, std::int64_t stamp_ns)
 {
-  const std::uint64_t fingerprint = imageFingerprint(image);
-  const auto same = std::find_if(seen_.begin(), seen_.end(),
-                                 [fingerprint](const Seen& seen) { return seen.fingerprint == fingerprint; });
-  if (same != seen_.end())
+  if (image.size() != size_ || image.type() != type_)
   {
-    return same->stamp_ns;
+    reset();
+    size_ = image.size();
+    type_ = image.type();
+    count_ = static_cast<std::size_t>((image.rows + kEvery - 1) / kEvery);
+    // The place after the last one is the new image's.
+    rows_.resize((kRemembered + 1) * count_);
+    whole_.reserve(kRemembered);
+    stamps_.reserve(kRemembered);
   }
-  if (seen_.capacity() < kRemembered)
+  std::uint64_t* rows = rowsOf(kRemembered);
+  std::uint64_t whole = 0;
+  std::size_t lively = 0;
+  for (std::size_t n = 0; n < count_; ++n)
   {
-    seen_.reserve(kRemembered);
+    const int y = std::min(static_cast<int>(n) * kEvery + static_cast<int>(n % 2), image.rows - 1);
+    Sums sums;
+    sums.add(image.ptr(y), static_cast<std::size_t>(image.cols) * image.elemSize());
+    const std::uint64_t row = sums.all();
+    whole = mixed(whole ^ row) + row;
+    bool is_lively = false;
+    if (isPixelType(image))
+    {
+      withPixelType(image, [&](auto pixel) { is_lively = isLively(image.ptr<decltype(pixel)>(y), image.cols); });
+    }
+    rows[n] = is_lively ? row : 0;
+    lively += is_lively;
   }
-  if (seen_.size() < kRemembered)
+  const auto is_of = [&](std::size_t image_before)
   {
-    seen_.push_back({ fingerprint, stamp_ns });
-  }
-  else
+    const std::uint64_t* before = rowsOf(image_before);
+    std::size_t same = 0;
+    for (std::size_t n = 0; n < count_; ++n)
+    {
+      same += rows[n] != 0 && rows[n] == before[n];
+    }
+    return whole == whole_[image_before] || (same > 0 && kShare * same >= lively);
+  };
+  for (std::size_t n = 0; n < stamps_.size(); ++n)
   {
-    seen_[next_] = { fingerprint, stamp_ns };
-    next_ = (next_ + 1) % kRemembered;
+    // From the last one on.
+    const std::size_t before = (next_ + stamps_.size() - 1 - n) % stamps_.size();
+    if (is_of(before))
+    {
+      return stamps_[before];
+    }
   }
+  if (stamps_.size() < kRemembered)
+  {
+    whole_.push_back(whole);
+    stamps_.push_back(stamp_ns);
+    std::copy_n(rows, count_, rowsOf(stamps_.size() - 1));
+    return std::nullopt;
+  }
+  whole_[next_] = whole;
+  stamps_[next_] = stamp_ns;
+  std::copy_n(rows, count_, rowsOf(next_));
+  next_ = (next_ + 1) % kRemembered;
   return std::nullopt;
 }
 
 void RepeatedImageCheck::reset()
 {
-  seen_.clear();
+  whole_.clear();
+  stamps_.clear();
   next_ = 0;
+  size_ = cv::Size();
 }
 }  // namespace xray_tracking

@@ -18,6 +18,11 @@ constexpr double kLeastField = 0.01;
 /// over pixels, hardly, and of the column or row pattern of a dark frame along one of them only.
 constexpr double kLeastCorrelation = 0.3;
 constexpr float kLeastLevel = 2.f;  // of the brightest bins, in standard deviations of a pixel
+/// Of the light before: a panel's lag is 1 to 3 % after some tenths of a second; blades leave some bins as they were.
+constexpr double kLag = 1.0 / 16.0;
+constexpr double kByNoise = 3.0;    // standard deviations: where little came through before
+constexpr double kBrighter = 0.01;  // of the bins
+constexpr double kForgets = 0.98;   // an image: a dose that stays at a hundredth is taken for one after 94 of them
 
 std::string nothingIn(const ImageBins& bins, const IntensityModel& intensity)
 {
@@ -48,6 +53,30 @@ struct XrayField::Implementation
   ImageBins bins;
   FieldBorder border;
   std::string nothing;
+  cv::Mat light_before;  ///< of the last image that showed something, fading
+  int type_before = -1;  ///< of that image
+
+  /// Whether the light fell nearly everywhere by more than a factor that dose and blades explain.
+  bool isLag() const
+  {
+    const cv::Mat& light = bins.light();
+    if (light_before.size() != light.size())
+    {
+      return false;
+    }
+    const double noise = kByNoise * bins.noise();
+    int brighter = 0;
+    for (int y = 0; y < light.rows; ++y)
+    {
+      const float* before = light_before.ptr<float>(y);
+      const float* now = light.ptr<float>(y);
+      for (int x = 0; x < light.cols; ++x)
+      {
+        brighter += now[x] > kLag * before[x] + noise;
+      }
+    }
+    return brighter < kBrighter * static_cast<double>(light.total());
+  }
 
   /// The bins that a part of the image touches.
   cv::Rect binsOf(const cv::Rect& part) const
@@ -91,7 +120,24 @@ void XrayField::update(const cv::Mat& image, const IntensityModel& intensity)
   {
     i.nothing = "the image shows nothing: all of it is outside the field";
     i.border.close(i.bins);
+    return;
   }
+  if (i.type_before == image.type() && i.isLag())
+  {
+    i.nothing =
+        "the image shows nothing: it has less than a sixteenth of the light of those before, as what is left of "
+        "them in a panel when X-rays are off";
+    i.light_before *= kForgets;
+    i.border.close(i.bins);
+    return;
+  }
+  i.bins.light().copyTo(i.light_before);
+  i.type_before = image.type();
+}
+
+void XrayField::forget()
+{
+  implementation_->light_before.release();
 }
 
 const std::string& XrayField::nothing() const

@@ -191,7 +191,7 @@ TreatmentSetup loadTreatmentSetup(const std::string& path)
     }
     catch (const std::invalid_argument&)
     {
-      content->fail("recognised, full or bone_in_air");
+      content->fail("recognised, full, bone_in_air or labels");
     }
   }
   if (const auto intensity = root.find("intensity"))

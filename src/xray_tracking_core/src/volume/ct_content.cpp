@@ -8,6 +8,10 @@
 #include <utility>
 #include <vector>
 
+#include "ct_error.h"
+#include "stored_volume.h"
+#include "xray_tracking_core/volume/attenuation.h"
+
 namespace xray_tracking
 {
 namespace
@@ -17,9 +21,10 @@ constexpr std::int16_t kAir = -500;  // below [HU]
 constexpr double kBackgroundShare = 1.0 / 3.0;
 constexpr double kBoneAtSurface = 0.5;  // of all surfaces
 constexpr double kNoRest = 0.02;        // of the target's attenuation
-constexpr std::array<std::pair<const char*, CtContent>, 3> kNames = {
-  { { "recognised", CtContent::RECOGNISED }, { "full", CtContent::FULL }, { "bone_in_air", CtContent::BONE_IN_AIR } }
-};
+constexpr std::array<std::pair<const char*, CtContent>, 4> kNames = { { { "recognised", CtContent::RECOGNISED },
+                                                                        { "full", CtContent::FULL },
+                                                                        { "bone_in_air", CtContent::BONE_IN_AIR },
+                                                                        { "labels", CtContent::LABELS } } };
 
 /// The most frequent value if at least a third of all voxels have it; else one that no voxel has.
 int backgroundOf(const std::vector<std::int16_t>& hu)
@@ -34,6 +39,19 @@ int backgroundOf(const std::vector<std::int16_t>& hu)
   return static_cast<double>(*most) >= kBackgroundShare * static_cast<double>(hu.size())
              ? static_cast<std::int16_t>(most - counts.begin())
              : kNone;
+}
+
+/// What a CT of bone alone adds to water, as HU of a body in air.
+CtVolume addedToWater(const PatientCt& ct)
+{
+  const int bone = static_cast<int>(std::lround(huFromMaterials({ 0.0, 1.0 })));
+  CtVolume added = ct.volume;
+  for (std::int16_t& value : added.hu)
+  {
+    const int hu = ct.content != CtContent::LABELS ? value : value != 0 ? bone : 0;
+    value = static_cast<std::int16_t>(std::max(hu, 0) - 1000);
+  }
+  return added;
 }
 
 double sumOf(const ScalarVolume& volume)
@@ -51,7 +69,7 @@ CtContent ctContentNamed(const std::string& name)
       return content;
     }
   }
-  throw std::invalid_argument("ct_content is " + name + ": expected recognised, full or bone_in_air");
+  throw std::invalid_argument("ct_content is " + name + ": expected recognised, full, bone_in_air or labels");
 }
 
 std::string nameOf(CtContent content)
@@ -109,33 +127,59 @@ CtContent recognisedContent(const CtVolume& ct)
                                                                                        : CtContent::FULL;
 }
 
-CtVolume addedToWater(CtVolume ct)
+PatientCt readPatientCt(const std::string& path, CtContent content)
 {
-  for (std::int16_t& hu : ct.hu)
-  {
-    hu = static_cast<std::int16_t>(std::max<int>(hu, 0) - 1000);
-  }
-  return ct;
-}
-
-BodyModel bodiesOf(const CtVolume& ct, const std::optional<TargetMask>& mask, CtContent content)
-{
+  StoredVolume stored = readStoredVolume(path);
+  const std::string no_hu = whyNotHu(stored.volume);
+  const std::string no_labels = whyNotLabels(stored);
   if (content == CtContent::RECOGNISED)
   {
-    content = recognisedContent(ct);
+    if (no_hu.empty())
+    {
+      return recognisedCt(std::move(stored.volume));
+    }
+    if (!no_labels.empty() || !isPatchwork(stored.volume))
+    {
+      failCt(path, "neither Hounsfield units: " + no_hu +
+                       "; nor labels: " + (no_labels.empty() ? "its values differ from voxel to voxel" : no_labels));
+    }
+    content = CtContent::LABELS;
   }
-  if (content == CtContent::BONE_IN_AIR)
+  const std::string& fault = content == CtContent::LABELS ? no_labels : no_hu;
+  if (!fault.empty())
   {
-    return bodiesOf(addedToWater(ct), mask, CtContent::FULL);
+    failCt(path, "ct_content is " + nameOf(content) + ", but these are no " +
+                     (content == CtContent::LABELS ? "labels: " : "Hounsfield units: ") + fault);
+  }
+  return { std::move(stored.volume), content };
+}
+
+PatientCt recognisedCt(CtVolume hu)
+{
+  const CtContent content = recognisedContent(hu);
+  return { std::move(hu), content };
+}
+
+TargetMask targetMaskOf(const PatientCt& ct, const Eigen::AlignedBox3d& target_box, const TargetMaskOptions& options)
+{
+  return ct.content == CtContent::LABELS ? targetMaskFromLabels(ct.volume, target_box, options)
+                                         : targetMaskFromBone(ct.volume, target_box, options);
+}
+
+BodyModel bodiesOf(const PatientCt& ct, const std::optional<TargetMask>& mask)
+{
+  if (ct.content != CtContent::FULL)
+  {
+    return bodiesOf({ addedToWater(ct), CtContent::FULL }, mask);
   }
   if (mask)
   {
-    BodyModel bodies = splitBodies(ct, *mask);
+    BodyModel bodies = splitBodies(ct.volume, *mask);
     if (sumOf(bodies.rest) >= kNoRest * sumOf(bodies.target))
     {
       return bodies;
     }
   }
-  return oneBody(ct);
+  return oneBody(ct.volume);
 }
 }  // namespace xray_tracking

@@ -5,6 +5,7 @@
 #include <fstream>
 #include <limits>
 #include <sstream>
+#include <utility>
 
 #include <itkGDCMImageIO.h>
 #include <itkImageFileReader.h>
@@ -17,6 +18,7 @@
 #include "ct_error.h"
 #include "ct_file_checks.h"
 #include "dicom_series.h"
+#include "stored_volume.h"
 #include "xray_tracking_core/volume/ct_volume.h"
 
 // ITK's readers are named here one by one. Its object factories would have to be registered in every executable.
@@ -117,10 +119,12 @@ void requireRightAngles(const VolumeGrid& grid, const std::string& path)
 }
 
 /// Rounds to whole numbers.
-std::vector<std::int16_t> toShorts(const float* values, std::size_t count, const std::string& path)
+StoredVolume rounded(const VolumeGrid& grid, const float* values, const std::string& path)
 {
-  std::vector<std::int16_t> shorts(count);
-  for (std::size_t n = 0; n < count; ++n)
+  StoredVolume stored;
+  stored.volume.grid = grid;
+  stored.volume.hu.resize(grid.voxelCount());
+  for (std::size_t n = 0; n < stored.volume.hu.size(); ++n)
   {
     const float value = std::round(values[n]);
     // Negated so that NaN fails, too.
@@ -130,37 +134,13 @@ std::vector<std::int16_t> toShorts(const float* values, std::size_t count, const
       message << "holds the value " << value << ", expected Hounsfield units or labels of -32768 to 32767";
       failCt(path, message.str());
     }
-    shorts[n] = static_cast<std::int16_t>(value);
+    if (value != values[n] && !stored.fraction)
+    {
+      stored.fraction = values[n];
+    }
+    stored.volume.hu[n] = static_cast<std::int16_t>(value);
   }
-  return shorts;
-}
-
-/// @throws if the values are no HU of a body in air
-void requireHu(const std::vector<std::int16_t>& values, const std::string& path)
-{
-  constexpr int kTissue = 200;       // either side of water
-  constexpr int kLowestAir = -1200;  // with noise; below it, values that fill up what was not scanned
-  const auto [lowest, highest] = std::minmax_element(values.begin(), values.end());
-  const bool tissue = std::any_of(values.begin(), values.end(), [](int value) { return std::abs(value) <= kTissue; });
-  const bool air =
-      std::any_of(values.begin(), values.end(), [](int value) { return value >= kLowestAir && value < -kTissue; });
-  std::ostringstream message;
-  if (*lowest == *highest)
-  {
-    message << "all voxels are " << *lowest;
-  }
-  else if (!air)
-  {
-    message << "the lowest value is " << *lowest << " and none lies between -1200 and -200, expected air, near -1000";
-  }
-  else if (!tissue)
-  {
-    message << "no value between -200 and 200, where soft tissue is; they run from " << *lowest << " to " << *highest;
-  }
-  if (!message.str().empty())
-  {
-    failCt(path, "not Hounsfield units: " + message.str());
-  }
+  return stored;
 }
 
 void requireKnownSpace(const itk::ImageIOBase& format, const std::string& path)
@@ -174,7 +154,7 @@ void requireKnownSpace(const itk::ImageIOBase& format, const std::string& path)
   }
 }
 
-CtVolume readFile(const std::string& path)
+StoredVolume readFile(const std::string& path)
 {
   for (const itk::ImageIOBase::Pointer& format : fileFormats())
   {
@@ -184,13 +164,13 @@ CtVolume readFile(const std::string& path)
       requireKnownSpace(*format, path);
       const VolumeGrid grid = gridOf(*image);
       requireUsableGrid(grid, path);
-      return { grid, toShorts(image->GetBufferPointer(), grid.voxelCount(), path) };
+      return rounded(grid, image->GetBufferPointer(), path);
     }
   }
   failCt(path, "not a NRRD, MetaImage or NIfTI file, nor a folder");
 }
 
-CtVolume readFolder(const std::string& path)
+StoredVolume readFolder(const std::string& path)
 {
   const DicomSeries series = findCtSeries(path);
   requireUsableGrid(series.grid, path);
@@ -207,10 +187,11 @@ CtVolume readFolder(const std::string& path)
     values.insert(values.end(), slice->GetBufferPointer(),
                   slice->GetBufferPointer() + static_cast<std::size_t>(size.x()) * size.y());
   }
-  return { series.grid, toShorts(values.data(), values.size(), path) };
+  return rounded(series.grid, values.data(), path);
 }
-/// Values as the file has them.
-CtVolume readVolume(const std::string& path)
+}  // namespace
+
+StoredVolume readStoredVolume(const std::string& path)
 {
   try
   {
@@ -234,18 +215,50 @@ CtVolume readVolume(const std::string& path)
     failCt(path, "cannot be read: " + error.code().message());
   }
 }
-}  // namespace
+
+std::string whyNotHu(const CtVolume& volume)
+{
+  const std::vector<std::int16_t>& values = volume.hu;
+  constexpr int kTissue = 200;       // either side of water
+  constexpr int kLowestAir = -1200;  // with noise; below it, values that fill up what was not scanned
+  const auto [lowest, highest] = std::minmax_element(values.begin(), values.end());
+  const bool tissue = std::any_of(values.begin(), values.end(), [](int value) { return std::abs(value) <= kTissue; });
+  const bool air =
+      std::any_of(values.begin(), values.end(), [](int value) { return value >= kLowestAir && value < -kTissue; });
+  std::ostringstream message;
+  if (*lowest == *highest)
+  {
+    message << "all voxels are " << *lowest;
+  }
+  else if (!air)
+  {
+    message << "the lowest value is " << *lowest << " and none lies between -1200 and -200, expected air, near -1000";
+  }
+  else if (!tissue)
+  {
+    message << "no value between -200 and 200, where soft tissue is; they run from " << *lowest << " to " << *highest;
+  }
+  return message.str();
+}
 
 CtVolume readCtVolume(const std::string& path)
 {
-  CtVolume volume = readVolume(path);
-  requireHu(volume.hu, path);
-  return volume;
+  StoredVolume stored = readStoredVolume(path);
+  if (const std::string why = whyNotHu(stored.volume); !why.empty())
+  {
+    failCt(path, "not Hounsfield units" + std::string(whyNotLabels(stored).empty() ? ", but labels: " : ": ") + why);
+  }
+  return std::move(stored.volume);
 }
 
 CtVolume readLabelMap(const std::string& path)
 {
-  return readVolume(path);
+  StoredVolume stored = readStoredVolume(path);
+  if (const std::string why = whyNotLabels(stored); !why.empty())
+  {
+    failCt(path, "no label map: " + why);
+  }
+  return std::move(stored.volume);
 }
 
 void writeCtVolume(const CtVolume& volume, const std::string& path)

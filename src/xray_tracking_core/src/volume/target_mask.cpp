@@ -175,6 +175,30 @@ bool isEmpty(const Binary::Pointer& image)
   return std::find(voxel, voxel + count, 1) == voxel + count;
 }
 
+/// About the largest connected piece of the box's voxels that have the right value, closed.
+/// @param what they are, for the message if there are none
+TargetMask maskOfLargestPiece(const CtVolume& ct, const Eigen::AlignedBox3d& target_box,
+                              const TargetMaskOptions& options, const std::string& what,
+                              const std::function<bool(int)>& is_target)
+{
+  options.validate();
+  const IndexBox box = indicesOf(ct.grid, target_box, options.outer_mm);
+  Binary::Pointer target =
+      makeBinary(ct.grid, box,
+                 [&](int i, int j, int k)
+                 {
+                   return is_target(ct.hu[ct.grid.offset(i, j, k)]) &&
+                          target_box.contains(ct.grid.patient_from_index * Eigen::Vector3d(i, j, k));
+                 });
+  if (isEmpty(target))
+  {
+    throw std::runtime_error("target box " + describe(target_box) + " holds no " + what);
+  }
+  target = closed(target, options.closing_mm);
+  keepLargestComponent(target);
+  return weightsAround(ct.grid, box, target, options);
+}
+
 void checkRange(const char* option, double value, double min, double max)
 {
   if (!(value >= min && value <= max))
@@ -197,24 +221,32 @@ void TargetMaskOptions::validate() const
 TargetMask targetMaskFromBone(const CtVolume& ct, const Eigen::AlignedBox3d& target_box,
                               const TargetMaskOptions& options)
 {
-  options.validate();
-  const IndexBox box = indicesOf(ct.grid, target_box, options.outer_mm);
-  Binary::Pointer bone = makeBinary(ct.grid, box,
-                                    [&](int i, int j, int k)
-                                    {
-                                      return ct.hu[ct.grid.offset(i, j, k)] >= options.threshold_hu &&
-                                             target_box.contains(ct.grid.patient_from_index * Eigen::Vector3d(i, j, k));
-                                    });
-  if (isEmpty(bone))
+  std::ostringstream bone;
+  bone << "bone of the CT (" << options.threshold_hu << " HU or more)";
+  return maskOfLargestPiece(ct, target_box, options, bone.str(), [&](int hu) { return hu >= options.threshold_hu; });
+}
+
+TargetMask targetMaskFromLabels(const CtVolume& labels, const Eigen::AlignedBox3d& target_box,
+                                const TargetMaskOptions& options)
+{
+  const IndexBox box = indicesOf(labels.grid, target_box, 0.0);
+  std::map<int, std::size_t> voxels;
+  for (int k = box.first.z(); k < box.first.z() + box.size.z(); ++k)
   {
-    std::ostringstream text;
-    text << "target box " << describe(target_box) << " holds no bone of the CT (" << options.threshold_hu
-         << " HU or more)";
-    throw std::runtime_error(text.str());
+    for (int j = box.first.y(); j < box.first.y() + box.size.y(); ++j)
+    {
+      for (int i = box.first.x(); i < box.first.x() + box.size.x(); ++i)
+      {
+        const int label = labels.hu[labels.grid.offset(i, j, k)];
+        voxels[label] += label != 0 && target_box.contains(labels.grid.patient_from_index * Eigen::Vector3d(i, j, k));
+      }
+    }
   }
-  bone = closed(bone, options.closing_mm);
-  keepLargestComponent(bone);
-  return weightsAround(ct.grid, box, bone, options);
+  const int target =
+      std::max_element(voxels.begin(), voxels.end(), [](const auto& a, const auto& b) { return a.second < b.second; })
+          ->first;
+  return maskOfLargestPiece(labels, target_box, options, "label of the CT",
+                            [&](int label) { return label != 0 && label == target; });
 }
 
 TargetMask targetMaskFromLabels(const VolumeGrid& ct_grid, const CtVolume& labels, int label,

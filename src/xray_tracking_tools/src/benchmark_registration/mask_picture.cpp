@@ -11,7 +11,7 @@ void drawMask(const Subject& subject, const TargetMask& mask, const std::string&
 {
   constexpr double kPixel = 0.5;  // [mm]
   constexpr int kEdge = 280;
-  const Eigen::Affine3d ct_index = subject.ct.grid.patient_from_index.inverse();
+  const Eigen::Affine3d ct_index = subject.ct.volume.grid.patient_from_index.inverse();
   const Eigen::Affine3d mask_index = mask.grid.patient_from_index.inverse();
   const auto voxel = [](const VolumeGrid& grid, const Eigen::Vector3d& index)
   {
@@ -28,9 +28,9 @@ void drawMask(const Subject& subject, const TargetMask& mask, const std::string&
       const double down = kPixel * (row - kEdge / 2);
       const Eigen::Vector3d point = subject.box().center() + (column < kEdge ? Eigen::Vector3d(across, down, 0.0)
                                                                              : Eigen::Vector3d(0.0, across, -down));
-      const std::ptrdiff_t in_ct = voxel(subject.ct.grid, ct_index * point);
+      const std::ptrdiff_t in_ct = voxel(subject.ct.volume.grid, ct_index * point);
       const std::ptrdiff_t in_mask = voxel(mask.grid, mask_index * point);
-      const double grey = in_ct < 0 ? 0.0 : std::clamp((subject.ct.hu[in_ct] + 300.0) / 1200.0, 0.0, 1.0);
+      const double grey = in_ct < 0 ? 0.0 : std::clamp((subject.ct.volume.hu[in_ct] + 300.0) / 1200.0, 0.0, 1.0);
       const double weight = in_mask < 0 ? 0.0 : mask.values[in_mask];
       Eigen::AlignedBox3d inner = subject.box();
       inner.min().array() += kPixel;

@@ -272,7 +272,7 @@ BodyModel bodiesOf(const RandomAnatomy& anatomy)
   {
     mask = targetMaskFromBone(anatomy.ct, anatomy.box);
   }
-  return bodiesOf(anatomy.ct, mask, CtContent::RECOGNISED);
+  return bodiesOf(recognisedCt(anatomy.ct), mask);
 }
 
 RandomSubject randomSubject(std::mt19937& random, const Scans& scans)

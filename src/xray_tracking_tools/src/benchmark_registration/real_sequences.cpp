@@ -237,9 +237,7 @@ std::vector<FigureTable> measureRealSequences(const std::string& folder, const R
     {
       subject.name = nameOf(path) + part.name;
       subject.exposures.setup.target_box = part.box;
-      const Registration registration(
-          bodiesOf(subject.ct, targetMaskFromBone(subject.ct, part.box), subject.exposures.setup.ct_content), part.box,
-          options);
+      const Registration registration(bodiesOf(subject.ct, targetMaskOf(subject.ct, part.box)), part.box, options);
       const std::vector<RigidTransform> poses =
           measureSequence(subject, registration, referenceUncertainty(path), starts, table, trials);
       if (!part.name.empty())

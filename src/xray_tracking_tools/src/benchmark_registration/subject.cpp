@@ -21,7 +21,7 @@ Subject sequenceSubject(const std::string& path)
   {
     throw std::invalid_argument(path + ": expected a sequence with a CT and a gold standard");
   }
-  subject.ct = readCtVolume(setup.ct_path);
+  subject.ct = readPatientCt(setup.ct_path, setup.ct_content);
   return subject;
 }
 
@@ -54,7 +54,7 @@ Subject phantomSubject(int count, const PhantomCase& what)
 {
   Subject subject;
   subject.name = "phantom, " + what.target + ", " + what.room;
-  subject.ct = phantomCt(what.voxel, 1.25 * what.voxel);
+  subject.ct = { phantomCt(what.voxel, 1.25 * what.voxel), CtContent::FULL };
   ExposureSet& exposures = subject.exposures;
   exposures.setup = loadTreatmentSetup(coreConfigPath("phantom_neck.yaml"));
   exposures.setup.detectors = loadDetectors(coreConfigPath("geometry/" + what.room + ".yaml"));

@@ -3,7 +3,7 @@
 #include <random>
 #include <string>
 
-#include "xray_tracking_core/volume/ct_volume.h"
+#include "xray_tracking_core/volume/ct_content.h"
 #include "xray_tracking_tools/exposure_set.h"
 
 namespace xray_tracking
@@ -12,7 +12,7 @@ namespace xray_tracking
 struct Subject
 {
   std::string name;
-  CtVolume ct;
+  PatientCt ct;
   ExposureSet exposures;
 
   const Eigen::AlignedBox3d& box() const { return exposures.setup.target_box; }

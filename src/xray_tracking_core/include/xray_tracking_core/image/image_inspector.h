@@ -48,7 +48,9 @@ struct ImageReport
 ///   right below; the smallest one likewise, and whatever is not above the offset.
 /// - The field's border, and whether there is any: XrayField.
 /// - Stuck: apart from the ring of 16 pixels around it by many times their spread and the image's noise, while all of
-///   what is connected to it ends as steeply within the ring: a detector's blur lets nothing of the patient do so.
+///   what is connected to it ends as steeply within the ring: a detector's blur lets nothing of the patient do so. And
+///   rows and columns, or halves of them, of another gain: nearly all of their pixels brighter than those on both
+///   sides. And white letters that were written into the image, with what lies between them.
 ///
 /// Not thread-safe. No allocation after the first image of a size, but for words if an image shows nothing.
 class ImageInspector

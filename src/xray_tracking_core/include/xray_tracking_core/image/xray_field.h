@@ -18,6 +18,9 @@ namespace xray_tracking
 /// from its edge, and scatter lies over it. What protrudes from the image's border but is thin (a rod, an instrument)
 /// is no border. With the penumbra, a bin.
 ///
+/// An image with less than a sixteenth of the light of the one before, nearly everywhere, is what a panel remembers of
+/// that one while X-rays are off; where it stays so, after tens of images, it is a dose.
+///
 /// Not thread-safe. No allocation after the first image of a size, but for words about an image that shows nothing.
 class XrayField
 {
@@ -31,9 +34,12 @@ public:
   /// @param image CV_8UC1, CV_16UC1 or CV_32FC1 (all finite), 16 x 16 or more
   /// @throws std::invalid_argument naming the type or the size of another one
   void update(const cv::Mat& image, const IntensityModel& intensity);
+  /// Of the images before: the next is judged alone.
+  void forget();
 
   /// Why the last image as a whole shows nothing: it is the same everywhere, not above the offset, noise or stripes
-  /// alone, or there is no field; empty where it shows something. Then all of it is outside.
+  /// alone, what is left of the image before, or there is no field; empty where it shows something. Then all of it is
+  /// outside.
   const std::string& nothing() const;
   /// Share of a rectangle of the image's that is outside the field, what is beyond the image included, 0..1.
   double outside(const cv::Rect& part) const;

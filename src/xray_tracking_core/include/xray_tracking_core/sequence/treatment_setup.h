@@ -48,9 +48,9 @@ struct TreatmentSetup
 std::vector<ProjectionGeometry> loadDetectors(const std::string& path);
 
 /// Reads a setup file: `detectors` (a list, or the path of a YAML file that has one), `initial_pose`, `target_box_mm`,
-/// and optionally `ct`, `ct_content` (recognised, full or bone_in_air), `intensity`, `regions`; relative paths start at
-/// the file. Keys that it does not use are left alone. Regions must lie inside their detector's image, air_counts above
-/// offset, the box's min below its max.
+/// and optionally `ct`, `ct_content` (recognised, full, bone_in_air or labels), `intensity`, `regions`; relative paths
+/// start at the file. Keys that it does not use are left alone. Regions must lie inside their detector's image,
+/// air_counts above offset, the box's min below its max.
 /// @throws std::runtime_error naming file, key, value and what was expected
 TreatmentSetup loadTreatmentSetup(const std::string& path);
 

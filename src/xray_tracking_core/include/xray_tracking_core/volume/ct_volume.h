@@ -53,7 +53,8 @@ struct ScalarVolume
 /// air (no voxel between -200 and 200, none between -1200 and -200, or any outside [-32768, 32767]).
 CtVolume readCtVolume(const std::string& path);
 
-/// Reads labels on a CT's grid, instead of HU. @throws as readCtVolume, but for what values may be
+/// Reads labels on a CT's grid, instead of HU: 0 for the background, others above it.
+/// @throws as readCtVolume, but for what values may be: whole numbers, 0 the lowest, at most 200 others
 CtVolume readLabelMap(const std::string& path);
 
 /// Writes a CT as NRRD, NIfTI or MetaImage by the file's extension. @throws std::runtime_error naming the path: not

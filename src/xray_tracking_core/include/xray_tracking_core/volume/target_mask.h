@@ -31,7 +31,12 @@ using TargetMask = ScalarVolume;
 TargetMask targetMaskFromBone(const CtVolume& ct, const Eigen::AlignedBox3d& target_box,
                               const TargetMaskOptions& options = {});
 
-/// The same from a label map on the CT's grid: its voxels of the given value.
+/// The same from a CT of labels: of the label that most voxels in the box have. The threshold does not count.
+/// @throws std::invalid_argument as validate(); std::runtime_error naming the box if it holds no label
+TargetMask targetMaskFromLabels(const CtVolume& labels, const Eigen::AlignedBox3d& target_box,
+                                const TargetMaskOptions& options = {});
+
+/// The same from a label map on the CT's grid: its voxels of the given value, in no box.
 /// @throws std::runtime_error if the label does not occur, or the label map's grid is not the CT's
 TargetMask targetMaskFromLabels(const VolumeGrid& ct_grid, const CtVolume& labels, int label,
                                 const TargetMaskOptions& options = {});
