@@ -198,14 +198,14 @@ int RegionTemplate::sample(const cv::Mat& image, const Warp& warp)
 {
   const IntensityModel intensity = coarse_.intensity(intensity_);
   const PixelMap map = pixelMap(warp);
-  const int outside = samplePoints(coarse_.pixels(), Sampling::BILINEAR, intensity, points_, box_, coarse_.toBins(map),
+  const int outside = samplePoints(coarse_.pixels(), intensity, points_, box_, coarse_.toBins(map),
                                    sampled_, outside_);
   if (outside == 0 || coarse_.isWhole())
   {
     return outside;
   }
   coarse_.update(image, cv::Rect(cv::Point(), size_));
-  return samplePoints(coarse_.pixels(), Sampling::BILINEAR, intensity, points_, box_, coarse_.toBins(map), sampled_,
+  return samplePoints(coarse_.pixels(), intensity, points_, box_, coarse_.toBins(map), sampled_,
                       outside_);
 }
 
@@ -277,10 +277,11 @@ void RegionTemplate::fit(const cv::Mat& image, SearchResult& result)
   RegionFit::Noise noise = noiseFor(evidence_);
   bool assessed = false;
   result.status = TrackResult::Status::DIVERGED;
+  fit_->look(image);
   for (int k = 0; k < kMaxFits; ++k)
   {
     double inside;
-    const RegionFit::Motions& motions = fit_->solve(image, intensity_, pixelMap(result.warp), inside);
+    const RegionFit::Motions& motions = fit_->solve(pixelMap(result.warp), inside);
     ++result.iterations;
     if (inside < 1.0 - kMaxOutside)
     {
