@@ -263,8 +263,9 @@ XRAY_TRACKING_AVX2 void sampleAnyGroup(const SplineSource& s, float x, float y, 
   }
   const std::int32_t* column = s.column + at.left + along_x.first - 1;
   const float* row = s.values + (at.top + along_y.first - 1) * s.row;
-  const auto sum = along_x.count == 4 && along_y.count <= 5 ? weighted<5, 4>
-                   : along_x.count <= 5 && along_y.count <= 5 ? weighted<5, 5> : weighted<0, 0>;
+  const auto sum = along_x.count == 4 && along_y.count <= 5   ? weighted<5, 4>
+                   : along_x.count <= 5 && along_y.count <= 5 ? weighted<5, 5>
+                                                              : weighted<0, 0>;
   _mm256_storeu_ps(values, sum(row, s.row, column, along_x, along_y));
 }
 
@@ -289,8 +290,8 @@ XRAY_TRACKING_AVX2 void sampleSplineAvx2(const SplineSource& s, const float* x, 
     _mm256_store_ps(u, at.u);
     _mm256_store_ps(v, at.v);
     // Of most groups all points are beyond as many pixels as the first one.
-    const __m256 apart = _mm256_or_ps(_mm256_floor_ps(_mm256_add_ps(at.u, whole_x)),
-                                      _mm256_floor_ps(_mm256_add_ps(at.v, whole_y)));
+    const __m256 apart =
+        _mm256_or_ps(_mm256_floor_ps(_mm256_add_ps(at.u, whole_x)), _mm256_floor_ps(_mm256_add_ps(at.v, whole_y)));
     const int are_apart = _mm256_movemask_ps(_mm256_cmp_ps(apart, _mm256_setzero_ps(), _CMP_NEQ_UQ));
     for (int i = 0; i < kAtOnce; ++i)
     {

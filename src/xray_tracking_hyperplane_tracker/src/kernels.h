@@ -22,7 +22,7 @@ void sampleBilinear(const std::uint16_t* pixels, std::size_t row_length, const f
 struct SplineSource
 {
   const float* values;
-  std::ptrdiff_t row;         ///< distance of rows [values]
+  std::ptrdiff_t row;          ///< distance of rows [values]
   const std::int32_t* column;  ///< where a column of the image begins
   int step;
 };

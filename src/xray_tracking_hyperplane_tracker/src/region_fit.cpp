@@ -51,8 +51,8 @@ bool RegionFit::cover(const PixelMap& map)
   {
     return true;
   }
-  return spline_image_.update(image_, cv::Rect(part.x - kFurther, part.y - kFurther, part.width + 2 * kFurther,
-                                               part.height + 2 * kFurther));
+  return spline_image_.update(
+      image_, cv::Rect(part.x - kFurther, part.y - kFurther, part.width + 2 * kFurther, part.height + 2 * kFurther));
 }
 
 double RegionFit::weighOutside(const PixelMap& map)
@@ -269,8 +269,7 @@ ParameterCovariance RegionFit::covariance(Noise noise, double missing)
   const auto solving = inverse_[noise].topRows(p);  // the equations for m
   for (Eigen::Index t = 0; t < weights_.size(); ++t)
   {
-    const Unknowns score =
-        right(noise, t) - noise_scores_[noise].col(t) - product_.segment(t * q, q).cast<double>();
+    const Unknowns score = right(noise, t) - noise_scores_[noise].col(t) - product_.segment(t * q, q).cast<double>();
     contributions_.col(t).noalias() = static_cast<double>(weights_[t]) * solving * score;
   }
   // So many tiles that tell as much as these would tell if all told the same.

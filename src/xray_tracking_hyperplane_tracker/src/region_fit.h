@@ -76,7 +76,7 @@ private:
   {
     Eigen::Index begin = 0;  ///< of its points
     Eigen::Index rows = 0;
-    Eigen::Index width = 0;      ///< of a row
+    Eigen::Index width = 0;       ///< of a row
     Eigen::Index row_length = 0;  ///< with what fills it up
     Eigen::Index count() const { return rows * width; }
     Eigen::Index padded() const { return rows * row_length; }
@@ -123,8 +123,8 @@ private:
 
   std::vector<Tile> tiles_;  ///< row by row
   Eigen::Index tile_columns_ = 0;
-  Points points_;  ///< rows are filled up with their last one
-  Box box_;        ///< around the points
+  Points points_;                     ///< rows are filled up with their last one
+  Box box_;                           ///< around the points
   Eigen::ArrayXf group_x_, group_y_;  ///< of the groups' first points
   Eigen::ArrayXf values_;
   float contrast_ = 0.f;
@@ -140,7 +140,7 @@ private:
   Eigen::ArrayXf tolerance_;                   ///< variance that a small error of the motion makes in a tile
 
   IntensityModel intensity_;
-  cv::Mat image_;  ///< the last one that was looked at
+  cv::Mat image_;             ///< the last one that was looked at
   SplineImage spline_image_;  ///< the part of it where the region was looked for
   Eigen::ArrayXf sampled_;
   Eigen::MatrixXf sums_;  ///< a column a tile: Z^T d of both kinds, N^T d, d^T d

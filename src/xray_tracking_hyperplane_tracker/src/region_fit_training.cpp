@@ -277,7 +277,8 @@ void RegionFit::store(const Eigen::MatrixXf& slopes, const std::array<Eigen::Mat
       normal_[noise].middleRows(t * q, q) = left.transpose() * right;
       all_normal_[noise] += normal_[noise].middleRows(t * q, q).cast<double>();
       all_squares_[noise] += (left.transpose() * left).cast<double>();
-      noise_scores_[noise].col(t) = (left.transpose() * template_noise.segment(tile.begin, tile.padded())).cast<double>();
+      noise_scores_[noise].col(t) =
+          (left.transpose() * template_noise.segment(tile.begin, tile.padded())).cast<double>();
     }
     tolerance_[t] = kMotionError * kMotionError * right.leftCols(2).squaredNorm() / static_cast<float>(tile.count());
   }

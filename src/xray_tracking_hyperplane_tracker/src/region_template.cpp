@@ -198,15 +198,13 @@ int RegionTemplate::sample(const cv::Mat& image, const Warp& warp)
 {
   const IntensityModel intensity = coarse_.intensity(intensity_);
   const PixelMap map = pixelMap(warp);
-  const int outside = samplePoints(coarse_.pixels(), intensity, points_, box_, coarse_.toBins(map),
-                                   sampled_, outside_);
+  const int outside = samplePoints(coarse_.pixels(), intensity, points_, box_, coarse_.toBins(map), sampled_, outside_);
   if (outside == 0 || coarse_.isWhole())
   {
     return outside;
   }
   coarse_.update(image, cv::Rect(cv::Point(), size_));
-  return samplePoints(coarse_.pixels(), intensity, points_, box_, coarse_.toBins(map), sampled_,
-                      outside_);
+  return samplePoints(coarse_.pixels(), intensity, points_, box_, coarse_.toBins(map), sampled_, outside_);
 }
 
 void RegionTemplate::compare(const Level& level, int outside)
