@@ -281,7 +281,8 @@ ParameterCovariance RegionFit::covariance(Noise noise, double missing)
   const double independent = tiles / 2.25;
   const double freedom =
       tiles / std::max(1.0, tiles - 1.0) * independent / std::max(1.0, independent - 3.0) / noise_seen_;
-  return freedom * (scatter() + missing * solving * all_squares_[noise] * solving.transpose());
+  const System of_white = solving * all_squares_[noise] * solving.transpose();
+  return freedom * (scatter() + missing * of_white);
 }
 
 const RegionFit::Assessment& RegionFit::assess()

@@ -131,8 +131,8 @@ private:
   Eigen::VectorXf columns_;  ///< tile after tile: Z of both kinds, N, column after column
   /// Tile after tile, for either kind: [Z N]^T [J N], J without the patterns of N.
   std::array<Eigen::MatrixXf, 2> normal_;
-  std::array<Eigen::MatrixXd, 2> all_normal_;   ///< sums of normal_ over all tiles
-  std::array<Eigen::MatrixXd, 2> all_squares_;  ///< [Z N]^T [Z N], both the same Z, over all tiles
+  std::array<System, 2> all_normal_;   ///< sums of normal_ over all tiles
+  std::array<System, 2> all_squares_;  ///< [Z N]^T [Z N], both the same Z, over all tiles
   /// A column a tile: [Z N]^T times the template's noise. It is not in f0, but its part of the error is as that of the
   /// other image's noise: the scatter has to have it.
   std::array<Eigen::MatrixXd, 2> noise_scores_;

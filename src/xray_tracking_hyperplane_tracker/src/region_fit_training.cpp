@@ -256,8 +256,8 @@ void RegionFit::store(const Eigen::MatrixXf& slopes, const std::array<Eigen::Mat
   for (const Noise noise : { WHITE, OVERLAY })
   {
     normal_[noise].resize(tiles * q, q);
-    all_normal_[noise] = Eigen::MatrixXd::Zero(q, q);
-    all_squares_[noise] = Eigen::MatrixXd::Zero(q, q);
+    all_normal_[noise] = System::Zero(q, q);
+    all_squares_[noise] = System::Zero(q, q);
     noise_scores_[noise].resize(q, tiles);
   }
   tolerance_.resize(tiles);

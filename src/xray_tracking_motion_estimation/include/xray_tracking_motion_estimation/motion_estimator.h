@@ -167,6 +167,13 @@ private:
 
   /// @return what is wrong with the measurement; empty if nothing is
   std::string observe(std::size_t view, const ViewMeasurement& measurement, Observation& observation) const;
+  /// @param scale of the floors' variances
+  void addFloors(double scale, const Track& track, Observation& observation) const;
+  /// Where the views see rotations in their planes that are larger than rotation_sigma, a rotation that they do not see
+  /// is likely as large; and what the unknown depth of what is tracked does to a track when it turns, which the floors
+  /// stand for, grows in proportion. @return variance of the rotation about an axis before it is measured [rad^2]
+  double admitRotation(const std::vector<std::optional<ViewMeasurement>>& measurements,
+                       Observations& observations) const;
   void whiten(const Observation& observation, const Motion& motion, Whitened& whitened) const;
   /// The largest angle between the lines of sight of two of the views that are there [rad].
   static double widestAngle(const Observations& observations, const std::vector<Eigen::Vector3d>& lines_of_sight);
@@ -176,10 +183,12 @@ private:
     NEAR,  ///< the steps had not come to rest
     NONE   ///< not in front of all sources
   };
-  Solution solveLeastSquares(const Observations& observations, Motion& motion, Matrix6d& covariance) const;
+  Solution solveLeastSquares(const Observations& observations, double rotation_variance, Motion& motion,
+                             Matrix6d& covariance) const;
   void backProject(const std::vector<std::optional<ViewMeasurement>>& measurements, const Observations& observations,
-                   Motion& motion, Matrix6d& covariance) const;
-  bool judgeConsistency(const Observations& observations, const Motion& motion, MotionEstimate& estimate) const;
+                   double rotation_variance, Motion& motion, Matrix6d& covariance) const;
+  bool judgeConsistency(const Observations& observations, double rotation_variance, const Motion& motion,
+                        MotionEstimate& estimate) const;
   void fillPose(const Motion& motion, MotionEstimate& estimate) const;
   std::string viewNames(const Observations& observations) const;
 
