@@ -24,7 +24,7 @@ constexpr double kOverlayMotion = 5.5;
 /// The last steps: how many, the longest that is believed, and that which needs none after it [px].
 constexpr int kMaxFits = 24;
 constexpr float kFitRange = 3.f;
-constexpr float kFitConvergence = 0.02f;
+constexpr float kFitConvergence = 0.01f;
 /// Mean disagreement (RegionFit) of images without an overlay that moves on its own, at most, and of those with one.
 constexpr double kAgreeing = 2.0;
 constexpr double kDisagreeing = 8.0;
