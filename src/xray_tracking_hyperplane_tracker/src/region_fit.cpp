@@ -98,11 +98,10 @@ void RegionFit::sumTiles()
     tile.clearPadding(sampled_);
     const float* differences = sampled_.data() + tile.begin;
     float* sums = sums_.col(static_cast<Eigen::Index>(t)).data();
-    for (int k = 0; k < 2 * parameters_ + kShadings; ++k, column += tile.padded())
-    {
-      *sums++ = dot(column, differences, tile.padded());
-    }
-    *sums = dot(differences, differences, tile.padded());
+    const int count = 2 * parameters_ + kShadings;
+    dots(column, count, differences, tile.padded(), sums);
+    sums[count] = dot(differences, differences, tile.padded());
+    column += count * tile.padded();
   }
 }
 
@@ -159,27 +158,22 @@ void RegionFit::doubtCoveredTiles()
   }
 }
 
-ParameterCovariance RegionFit::scatter() const
+ParameterCovariance RegionFit::scatter()
 {
-  // Over all squares of two by two tiles, those that reach over the region's border too: every tile is in four.
-  const int p = parameters_;
-  ParameterCovariance scatter = ParameterCovariance::Zero(p, p);
-  const Eigen::Index rows = contributions_.cols() / tile_columns_;
-  for (Eigen::Index r = 0; r <= rows; ++r)
+  // The sums over all squares of two by two tiles, each square a quarter: of two neighbours a half of their product
+  // counts, a quarter where they only share a corner. So, with both directions one after the other:
+  const Eigen::Index columns = tile_columns_, tiles = contributions_.rows();
+  around_ = contributions_;
+  for (Eigen::Index first = 0; first < tiles; first += columns)
   {
-    for (Eigen::Index c = 0; c <= tile_columns_; ++c)
-    {
-      Contribution sum = Contribution::Zero(p);
-      for (Eigen::Index y = std::max<Eigen::Index>(0, r - 1); y <= std::min(r, rows - 1); ++y)
-      {
-        for (Eigen::Index x = std::max<Eigen::Index>(0, c - 1); x <= std::min(c, tile_columns_ - 1); ++x)
-        {
-          sum += contributions_.col(y * tile_columns_ + x);
-        }
-      }
-      scatter.noalias() += 0.25 * sum * sum.transpose();
-    }
+    const auto row = contributions_.middleRows(first, columns);
+    around_.middleRows(first, columns - 1) += 0.5 * row.bottomRows(columns - 1);
+    around_.middleRows(first + 1, columns - 1) += 0.5 * row.topRows(columns - 1);
   }
+  ParameterCovariance scatter = contributions_.transpose() * around_;
+  const ParameterCovariance across =
+      contributions_.topRows(tiles - columns).transpose() * around_.bottomRows(tiles - columns);
+  scatter += 0.5 * (across + across.transpose());
   return scatter;
 }
 
@@ -270,7 +264,7 @@ ParameterCovariance RegionFit::covariance(Noise noise, double missing)
   for (Eigen::Index t = 0; t < weights_.size(); ++t)
   {
     const Unknowns score = right(noise, t) - noise_scores_[noise].col(t) - product_.segment(t * q, q).cast<double>();
-    contributions_.col(t).noalias() = static_cast<double>(weights_[t]) * solving * score;
+    contributions_.row(t).noalias() = static_cast<double>(weights_[t]) * (solving * score).transpose();
   }
   // So many tiles that tell as much as these would tell if all told the same.
   const auto told = information_[noise] * weights_.cast<double>();

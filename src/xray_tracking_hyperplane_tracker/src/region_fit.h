@@ -110,7 +110,7 @@ private:
   /// The tiles' mean square residuals.
   void findVariances();
   /// Of the motion, by that of the tiles' contributions to it.
-  ParameterCovariance scatter() const;
+  ParameterCovariance scatter();
   /// @param missing of the residual's variance to what is the least
   ParameterCovariance covariance(Noise noise, double missing);
 
@@ -148,8 +148,8 @@ private:
   Eigen::ArrayXf variances_;
   Eigen::ArrayXf sorted_;
   Eigen::VectorXf product_;
-  using Contribution = Eigen::Matrix<double, Eigen::Dynamic, 1, 0, kMaxParameters, 1>;
-  Eigen::MatrixXd contributions_;    ///< a column a tile: what its residual adds to the motion
+  /// A row a tile: what its residual adds to the motion; and the same of the tiles around it.
+  Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, 0, Eigen::Dynamic, kMaxParameters> contributions_, around_;
   std::array<System, 2> inverse_;    ///< of the weighted equations' matrix
   std::array<Unknowns, 2> unknown_;  ///< m and n
   Motions motions_;

@@ -243,7 +243,7 @@ RegionFit::RegionFit(const cv::Mat& image, const IntensityModel& intensity, cons
   variances_.resize(tiles);
   sorted_.resize(tiles);
   product_.resize(tiles * unknowns_);
-  contributions_.resize(parameters, tiles);
+  contributions_.resize(tiles, parameters);
 }
 
 void RegionFit::store(const Eigen::MatrixXf& slopes, const std::array<Eigen::MatrixXf, 2>& instruments,

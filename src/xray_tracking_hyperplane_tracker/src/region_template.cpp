@@ -12,6 +12,10 @@ namespace xray_tracking
 {
 namespace
 {
+/// Half of what a search usually looks at, in sizes of the region, and as a share of the first predictor's range; one
+/// that goes farther takes in the whole image.
+constexpr double kSeen = 0.6;
+constexpr double kUsualMotion = 0.5;
 /// Share of points outside the image that is still tracked; they take the mean difference of the others, which the
 /// predictor does not see.
 constexpr double kMaxOutside = 0.25;
@@ -187,7 +191,7 @@ void RegionTemplate::simulate(const cv::Mat& image, const Warp& warp, const Leve
 void RegionTemplate::look(const cv::Mat& image, const Warp& start)
 {
   const Eigen::Vector2d half =
-      0.75 * Eigen::Vector2d(region_.width, region_.height).array() + 1.5 * options_.ranges.front();
+      kSeen * Eigen::Vector2d(region_.width, region_.height).array() + kUsualMotion * options_.ranges.front();
   const Eigen::Vector2d limit(1e6, 1e6);  // of what an integer holds, wherever the search has gone
   const Eigen::Vector2d corner = (centre_ + start.translation - half).cwiseMax(-limit).cwiseMin(limit);
   coarse_.update(image, cv::Rect(static_cast<int>(corner.x()), static_cast<int>(corner.y()),
