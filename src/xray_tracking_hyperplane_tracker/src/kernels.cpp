@@ -384,8 +384,7 @@ XRAY_TRACKING_AVX2 __m128 fourDotsAvx2(const float* columns, const float* b, std
       sums[k] = _mm256_fmadd_ps(_mm256_loadu_ps(columns + k * count + i), values, sums[k]);
     }
   }
-  const __m256 pairs =
-      _mm256_hadd_ps(_mm256_hadd_ps(sums[0], sums[1]), _mm256_hadd_ps(sums[2], sums[3]));
+  const __m256 pairs = _mm256_hadd_ps(_mm256_hadd_ps(sums[0], sums[1]), _mm256_hadd_ps(sums[2], sums[3]));
   return _mm_add_ps(_mm256_castps256_ps128(pairs), _mm256_extractf128_ps(pairs, 1));
 }
 

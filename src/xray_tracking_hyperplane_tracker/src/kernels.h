@@ -49,6 +49,7 @@ void attenuate(float* values, std::ptrdiff_t count, float offset);
 /// sum a_i b_i
 float dot(const float* a, const float* b, std::ptrdiff_t count);
 
-/// Of columns that lie one after the other: sum a_i b_i for each. @param columns_number how many; @param count of values in one
+/// Of columns that lie one after the other: sum a_i b_i for each. @param columns_number how many; @param count of
+/// values in one
 void dots(const float* columns, std::ptrdiff_t columns_number, const float* b, std::ptrdiff_t count, float* sums);
 }  // namespace xray_tracking

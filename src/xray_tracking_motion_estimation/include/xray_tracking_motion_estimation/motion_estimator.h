@@ -169,9 +169,10 @@ private:
   std::string observe(std::size_t view, const ViewMeasurement& measurement, Observation& observation) const;
   /// @param scale of the floors' variances
   void addFloors(double scale, const Track& track, Observation& observation) const;
-  /// Where the views see rotations in their planes that are larger than rotation_sigma, a rotation that they do not see
-  /// is likely as large; and what the unknown depth of what is tracked does to a track when it turns, which the floors
-  /// stand for, grows in proportion. @return variance of the rotation about an axis before it is measured [rad^2]
+  /// Takes the rotation that views see in their planes into account of what is not known: the unknown depth of what is
+  /// tracked moves and shears it in proportion, so that the floors grow; and a rotation that is not seen is likely as
+  /// large as one that is, where that is larger than rotation_sigma.
+  /// @return variance of the rotation about an axis before it is measured [rad^2]
   double admitRotation(const std::vector<std::optional<ViewMeasurement>>& measurements,
                        Observations& observations) const;
   void whiten(const Observation& observation, const Motion& motion, Whitened& whitened) const;
