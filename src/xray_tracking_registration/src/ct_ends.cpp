@@ -2,12 +2,15 @@
 
 #include <cmath>
 
+#include <opencv2/imgproc.hpp>
+
 namespace xray_tracking
 {
 namespace
 {
 constexpr double kBody = 0.006;       // attenuation that is no air, a third of water's [1/mm]
 constexpr double kHeadOn = 0.5;       // cosine of a ray and a face's normal
+constexpr int kStep = 2;              // in bins, of the rays that are asked for
 constexpr double kLeastShare = 0.02;  // of a face: where a body ends by itself, its last slice holds next to nothing
 }  // namespace
 
@@ -65,7 +68,8 @@ bool CtEnds::cut(const Ray& ray) const
 
 cv::Mat insideEnds(const ProjectionGeometry& geometry, const PixelGrid& pixels, const std::vector<PlacedEnds>& ends)
 {
-  cv::Mat inside(pixels.size.y(), pixels.size.x(), CV_32FC1, 1.0f);
+  const cv::Size size(pixels.size.x(), pixels.size.y());
+  cv::Mat inside((size.height + kStep - 1) / kStep, (size.width + kStep - 1) / kStep, CV_32FC1, 1.0f);
   for (const PlacedEnds& placed : ends)
   {
     const RigidTransform ct_from_room = placed.room_from_ct.inverse();
@@ -73,7 +77,8 @@ cv::Mat insideEnds(const ProjectionGeometry& geometry, const PixelGrid& pixels, 
     {
       for (int column = 0; column < inside.cols; ++column)
       {
-        const Ray ray = geometry.backProject(pixels.first + Eigen::Vector2d(column, row).cwiseProduct(pixels.step));
+        const Eigen::Vector2d bin(column * kStep, row * kStep);
+        const Ray ray = geometry.backProject(pixels.first + bin.cwiseProduct(pixels.step));
         if (placed.ends.cut({ ct_from_room * ray.source, ct_from_room.linear() * ray.direction }))
         {
           inside.at<float>(row, column) = 0.0f;
@@ -81,6 +86,8 @@ cv::Mat insideEnds(const ProjectionGeometry& geometry, const PixelGrid& pixels, 
       }
     }
   }
-  return inside;
+  cv::Mat all;
+  cv::resize(inside, all, cv::Size(inside.cols * kStep, inside.rows * kStep), 0.0, 0.0, cv::INTER_NEAREST);
+  return all(cv::Rect(cv::Point(), size)).clone();
 }
 }  // namespace xray_tracking

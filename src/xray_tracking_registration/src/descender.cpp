@@ -17,6 +17,7 @@ namespace
 {
 constexpr double kShift = 8.0;  // what Path::SHIFT looks for, at most [mm]
 constexpr Resolution kMedium{ 1.1, 3.5 };
+constexpr Resolution kShifted{ 2.2, 3.5 };
 constexpr Resolution kFineWide{ 1.1, 11.0 };  // for similarities that live on the large structures too
 constexpr Descent kTogether{ 12, 3e-3 };
 constexpr Descent kApart{ 8, 3e-3 };
@@ -104,58 +105,96 @@ cv::Rect Descender::region(const RegistrationView& view, const RigidTransform& r
   return cv::Rect(first.x(), first.y(), end.x() - first.x(), end.y() - first.y());
 }
 
+RestPrior Descender::priorOf(const Run& run)
+{
+  return { run.request.target_from_rest, kRestInformation };
+}
+
+FineLevel Descender::fineLevel(const Run& run, const PosePair& poses) const
+{
+  FineLevel fine{ makeViews(run, poses, kFine), {} };
+  fine.at = linearise(fine.views, bodies_, poses, moving_);
+  return fine;
+}
+
 Outcome Descender::descend(const Run& run, const PosePair& start, Path path) const
 {
-  Outcome outcome;
-  outcome.poses = start;
-  PosePair& poses = outcome.poses;
-  const RestPrior prior{ run.request.target_from_rest, kRestInformation };
+  PosePair poses = start;
   try
   {
-    if (options_.optimiser != Optimiser::GAUSS_NEWTON)
+    run.control.level = 0;
+    if (options_.optimiser == Optimiser::GAUSS_NEWTON)
+    {
+      follow(run, path, poses);
+    }
+    else
     {
       descendDerivativeFree(run, poses);
     }
-    else if (path == Path::SHIFT)
-    {
-      run.control.level = 0;
-      if (run.control.mayRender(poses.target, 0.0))
-      {
-        const Eigen::Vector3d shift = mostAlikeShift(run, bodies_, makeViews(run, poses, kMedium), poses,
-                                                     std::min(kShift, run.request.max_translation_mm));
-        PosePair shifted =
-            moved(poses, (Twist() << Eigen::Vector3d::Zero(), shift).finished(), bodies_.centre, together());
-        poses = run.control.inBounds(shifted.target) ? shifted : poses;
-      }
-    }
-    else if (path == Path::MEDIUM)
-    {
-      run.control.level = 0;
-      gaussNewton(makeViews(run, poses, kMedium), bodies_, moving_, prior, kApart, run.control, poses);
-    }
-    else if (path == Path::COARSE)
-    {
-      run.control.level = 0;
-      const std::vector<ViewLevel> coarse = makeViews(run, poses, kCoarse);
-      if (moving_ == Moving::BOTH)
-      {
-        // As one body first: half as many unknowns reach further.
-        gaussNewton(coarse, bodies_, Moving::TOGETHER, prior, kTogether, run.control, poses);
-      }
-      gaussNewton(coarse, bodies_, moving_, prior, kApart, run.control, poses);
-    }
+    return descend(run, poses, fineLevel(run, poses));
+  }
+  catch (const std::invalid_argument& error)
+  {
+    Outcome outcome;
+    outcome.poses = poses;
+    outcome.doubt = error.what();
+    return outcome;
+  }
+}
+
+Outcome Descender::descend(const Run& run, const PosePair& start, FineLevel fine) const
+{
+  Outcome outcome;
+  outcome.poses = start;
+  try
+  {
     run.control.level = 1;
-    const std::vector<ViewLevel> fine = makeViews(run, poses, kFine);
-    const Linearisation at = options_.optimiser == Optimiser::GAUSS_NEWTON
-                                 ? gaussNewton(fine, bodies_, moving_, prior, kFinish, run.control, poses)
-                                 : linearise(fine, bodies_, poses, moving_);
-    judge(run, prior, fine, at, outcome);
+    if (options_.optimiser == Optimiser::GAUSS_NEWTON)
+    {
+      fine.at = gaussNewton(fine.views, bodies_, moving_, priorOf(run), kFinish, std::move(fine.at), run.control,
+                            outcome.poses);
+    }
+    judge(run, fine, outcome);
   }
   catch (const std::invalid_argument& error)
   {
     outcome.doubt = error.what();
   }
   return outcome;
+}
+
+void Descender::follow(const Run& run, Path path, PosePair& poses) const
+{
+  const auto iterate = [&](const std::vector<ViewLevel>& views, Moving moving, const Descent& descent)
+  {
+    gaussNewton(views, bodies_, moving, priorOf(run), descent, linearise(views, bodies_, poses, moving), run.control,
+                poses);
+  };
+  if (path == Path::SHIFT)
+  {
+    if (run.control.mayRender(poses.target, 0.0))
+    {
+      const Eigen::Vector3d shift = mostAlikeShift(run, bodies_, makeViews(run, poses, kShifted), poses,
+                                                   std::min(kShift, run.request.max_translation_mm));
+      PosePair shifted =
+          moved(poses, (Twist() << Eigen::Vector3d::Zero(), shift).finished(), bodies_.centre, together());
+      poses = run.control.inBounds(shifted.target) ? shifted : poses;
+    }
+  }
+  else if (path == Path::MEDIUM)
+  {
+    iterate(makeViews(run, poses, kMedium), moving_, kApart);
+  }
+  else
+  {
+    const std::vector<ViewLevel> coarse = makeViews(run, poses, kCoarse);
+    if (moving_ == Moving::BOTH)
+    {
+      // As one body first: half as many unknowns reach further.
+      iterate(coarse, Moving::TOGETHER, kTogether);
+    }
+    iterate(coarse, moving_, kApart);
+  }
 }
 
 void Descender::descendDerivativeFree(const Run& run, PosePair& poses) const
@@ -168,13 +207,13 @@ void Descender::descendDerivativeFree(const Run& run, PosePair& poses) const
                          run.control, poses);
 }
 
-void Descender::judge(const Run& run, const RestPrior& prior, const std::vector<ViewLevel>& fine,
-                      const Linearisation& at, Outcome& outcome) const
+void Descender::judge(const Run& run, const FineLevel& fine, Outcome& outcome) const
 {
+  const RestPrior prior = priorOf(run);
   const PosePair& poses = outcome.poses;
-  outcome.similarity = at.meanSimilarity();
-  outcome.views = viewResiduals(fine, at, poses.target * bodies_.centre);
-  outcome.covariance = poseCovariance(fine, at, prior, poses, bodies_);
+  outcome.similarity = fine.at.meanSimilarity();
+  outcome.views = viewResiduals(fine.views, fine.at, poses.target * bodies_.centre);
+  outcome.covariance = poseCovariance(fine.views, fine.at, prior, poses, bodies_);
   const std::vector<double> coarse = similarities(makeViews(run, poses, kCoarse), bodies_, poses);
   BeliefFigures& figures = outcome.figures;
   figures.least_similarity = figures.least_coarse_similarity = 1.0;
@@ -188,7 +227,7 @@ void Descender::judge(const Run& run, const RestPrior& prior, const std::vector<
     figures.pull_mm = std::max(figures.pull_mm, view.pull_mm);
   }
   figures.expected_error_mm = expectedError(outcome.covariance, poses.target, box_);
-  const Distinctness distinctness = distinctnessOf(run, bodies_, fine, poses);
+  const Distinctness distinctness = distinctnessOf(run, fine, poses.target * bodies_.centre);
   figures.here = distinctness.here;
   figures.rival = distinctness.rival;
   figures.distinctness = distinctness.z;
@@ -216,7 +255,8 @@ void Descender::judge(const Run& run, const RestPrior& prior, const std::vector<
   else if (bodies_.one)
   {
     PosePair apart = poses;
-    gaussNewton(fine, bodies_, Moving::BOTH, prior, kPart, run.control, apart);
+    gaussNewton(fine.views, bodies_, Moving::BOTH, prior, kPart, linearise(fine.views, bodies_, apart, Moving::BOTH),
+                run.control, apart);
     const double parted = targetRegistrationError(apart.target, poses.target, box_);
     if (parted > kMaxParted)
     {

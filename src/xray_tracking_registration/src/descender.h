@@ -21,8 +21,7 @@ enum class Path
 {
   COARSE,  ///< the coarse level, as one body and then as two: reaches farthest, but what most of the images show leads
   MEDIUM,  ///< a medium one, as two bodies at once: where the start is better than where the rest leads
-  SHIFT,   ///< a shift of up to 8 mm along each axis by correlation: from one exposure to the next
-  FINE     ///< none
+  SHIFT    ///< a shift of up to 8 mm along each axis by correlation: from one exposure to the next
 };
 
 /// Where one descent ended.
@@ -41,6 +40,13 @@ struct Outcome
 void doubtFor(std::string reason, Outcome& outcome);
 /// Doubts an outcome that a rival is as good as.
 void doubtIfRivalled(const Rival& rival, Outcome& outcome);
+
+/// The finest level from a pose, and what it says there.
+struct FineLevel
+{
+  std::vector<ViewLevel> views;
+  Linearisation at;
+};
 
 /// One run of a registration.
 struct Run
@@ -61,6 +67,11 @@ public:
 
   /// Along a path to the finest level, and then judged. Derivative-free optimisers have a path of their own.
   Outcome descend(const Run& run, const PosePair& start, Path path) const;
+  /// From the finest level at the start on, and then judged.
+  Outcome descend(const Run& run, const PosePair& start, FineLevel fine) const;
+
+  /// @throws std::invalid_argument as makeViews
+  FineLevel fineLevel(const Run& run, const PosePair& poses) const;
 
   /// Of a resolution in mm at the target, so that nothing hangs on the panel's pitch or the magnification. Neither bins
   /// below half of a CT's voxel nor a high-pass finer than it: there is only noise to compare.
@@ -73,9 +84,10 @@ public:
 
 private:
   cv::Rect region(const RegistrationView& view, const RigidTransform& room_from_patient) const;
+  void follow(const Run& run, Path path, PosePair& poses) const;
   void descendDerivativeFree(const Run& run, PosePair& poses) const;
-  void judge(const Run& run, const RestPrior& prior, const std::vector<ViewLevel>& fine, const Linearisation& at,
-             Outcome& outcome) const;
+  void judge(const Run& run, const FineLevel& fine, Outcome& outcome) const;
+  static RestPrior priorOf(const Run& run);
 
   const Bodies& bodies_;
   Eigen::AlignedBox3d box_;

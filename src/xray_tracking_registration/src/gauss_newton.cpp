@@ -12,8 +12,8 @@ namespace
 {
 constexpr float kHuber = 2.5f;        // in standard deviations
 constexpr float kDeformation = 1.5f;  // how far parts of the rest are from where its pose, a rigid one, has them [mm]
-constexpr double kSmallTranslation = 0.01;  // a step that ends the iterations [mm]
-constexpr double kSmallRotation = 0.01 * M_PI / 180.0;
+constexpr double kSmallTranslation = 0.02;  // a step that ends the iterations [mm]
+constexpr double kSmallRotation = 0.02 * M_PI / 180.0;
 constexpr int kMaxRejections = 2;
 constexpr double kMinGain = 0.05;  // of a model that is not yet like the image
 constexpr double kMaxSaturation = 3.0;
@@ -52,16 +52,10 @@ Eigen::VectorXf pixelWeights(const Eigen::VectorXf& residual, const Eigen::Vecto
   return (variance > 0.0f ? (weights / variance).eval() : weights).cwiseQuotient(shape);
 }
 
+/// Whether a step moves the target by next to nothing.
 bool isSmall(const Eigen::VectorXd& step)
 {
-  for (int body = 0; body < step.size(); body += 6)
-  {
-    if (step.segment<3>(body).norm() > kSmallRotation || step.segment<3>(body + 3).norm() > kSmallTranslation)
-    {
-      return false;
-    }
-  }
-  return true;
+  return step.segment<3>(0).norm() < kSmallRotation && step.segment<3>(3).norm() < kSmallTranslation;
 }
 }  // namespace
 
@@ -201,7 +195,8 @@ PosePair moved(const PosePair& poses, const Eigen::VectorXd& twists, const Eigen
 }
 
 Linearisation gaussNewton(const std::vector<ViewLevel>& views, const Bodies& bodies, Moving moving,
-                          const RestPrior& prior, const Descent& descent, RunControl& control, PosePair& poses)
+                          const RestPrior& prior, const Descent& descent, Linearisation start, RunControl& control,
+                          PosePair& poses)
 {
   const auto priorCost = [&](const PosePair& at)
   {
@@ -214,15 +209,15 @@ Linearisation gaussNewton(const std::vector<ViewLevel>& views, const Bodies& bod
     return cost;
   };
   poses.saturation.resize(views.size(), kUsualSaturation);
-  Linearisation best = linearise(views, bodies, poses, moving);
+  Linearisation best = std::move(start);
   double damping = 1e-3;
-  for (int iteration = 0; iteration < descent.max_iterations; ++iteration)
+  bool settled = false;
+  for (int iteration = 0; !settled && iteration < descent.max_iterations; ++iteration)
   {
     const NormalEquations equations = normalEquations(views, best, prior, poses, bodies.centre);
     const double cost = best.cost(views, best.weights) + priorCost(poses);
     bool improved = false;
-    bool small = false;
-    for (int rejections = 0; !improved && !small && rejections <= kMaxRejections; ++rejections)
+    for (int rejections = 0; !improved && rejections <= kMaxRejections; ++rejections)
     {
       Eigen::MatrixXd damped = equations.information;
       damped.diagonal() *= 1.0 + damping;
@@ -231,8 +226,11 @@ Linearisation gaussNewton(const std::vector<ViewLevel>& views, const Bodies& bod
       {
         return best;
       }
+      if (isSmall(step) || step.dot(equations.gradient) < descent.min_gain * cost)
+      {
+        break;
+      }
       const Eigen::VectorXd twists = step.head(step.size() - static_cast<Eigen::Index>(views.size()));
-      small = isSmall(twists);  // the last step, whether it helps or not
       PosePair trial = moved(poses, twists, bodies.centre, moving);
       for (std::size_t v = 0; v < views.size(); ++v)
       {
@@ -248,20 +246,17 @@ Linearisation gaussNewton(const std::vector<ViewLevel>& views, const Bodies& bod
         Linearisation there = linearise(views, bodies, trial, moving);
         const double new_cost = there.cost(views, best.weights) + priorCost(trial);
         improved = new_cost < cost;
-        small = small || (improved && cost - new_cost < descent.min_gain * cost);
         if (improved)
         {
           best = std::move(there);
           poses = trial;
+          settled = cost - new_cost < descent.min_gain * cost;
         }
       }
       damping = improved ? std::max(damping / 5.0, 1e-6) : damping * 10.0;
     }
     ++control.iterations;
-    if (!improved || small)
-    {
-      break;
-    }
+    settled = settled || !improved;
   }
   return best;
 }

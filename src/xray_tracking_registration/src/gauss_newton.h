@@ -60,7 +60,10 @@ struct Descent
   double min_gain;  ///< relative decrease of the cost that is worth a further iteration
 };
 
-/// Levenberg-Marquardt from `poses`, which holds the best poses afterwards. @return the linearisation there
+/// Levenberg-Marquardt from `poses`, which holds the best poses afterwards.
+/// @param start linearisation at `poses`
+/// @return the one at the best poses
 Linearisation gaussNewton(const std::vector<ViewLevel>& views, const Bodies& bodies, Moving moving,
-                          const RestPrior& prior, const Descent& descent, RunControl& control, PosePair& poses);
+                          const RestPrior& prior, const Descent& descent, Linearisation start, RunControl& control,
+                          PosePair& poses);
 }  // namespace xray_tracking

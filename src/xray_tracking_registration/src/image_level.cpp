@@ -39,17 +39,33 @@ void scaleRows(const cv::Mat& factors, cv::Mat& image)
   }
 }
 
-/// Line integrals L become (1 - exp(-k L)) / k. @param slope out, derivative by L; @param by_saturation out, by k
+Eigen::Map<Eigen::ArrayXf> mapped(cv::Mat& mat)
+{
+  return { mat.ptr<float>(), static_cast<Eigen::Index>(mat.total()) };
+}
+
+/// Below, the closed forms lose their digits in single precision; the attenuation is then straight to 1 or 2 %.
+float withDigits(double saturation)
+{
+  return std::max(static_cast<float>(saturation), 0.01f);
+}
+
+/// Line integrals L become (1 - exp(-k L)) / k.
+void saturate(double saturation, cv::Mat& image)
+{
+  const float k = withDigits(saturation);
+  auto values = mapped(image);
+  values = (1.0f - (-k * values).exp()) / k;
+}
+
+/// As above. @param slope out, derivative by L; @param by_saturation out, by k
 void saturate(double saturation, cv::Mat& image, cv::Mat& slope, cv::Mat& by_saturation)
 {
-  using Values = Eigen::Map<Eigen::ArrayXf>;
-  const auto mapped = [](cv::Mat& mat) { return Values(mat.ptr<float>(), static_cast<Eigen::Index>(mat.total())); };
   slope.create(image.size(), CV_32FC1);
   by_saturation.create(image.size(), CV_32FC1);
-  // Below, the closed forms lose their digits in single precision; the attenuation is then straight to 1 or 2 %.
-  const float k = std::max(static_cast<float>(saturation), 0.01f);
-  Values values = mapped(image);
-  Values slopes = mapped(slope);
+  const float k = withDigits(saturation);
+  auto values = mapped(image);
+  auto slopes = mapped(slope);
   slopes = (-k * values).exp();
   const Eigen::ArrayXf saturated = (1.0f - slopes) / k;
   mapped(by_saturation) = (values * slopes - saturated) / k;
@@ -183,9 +199,7 @@ void ViewLevel::modelImage(const Bodies& bodies, const PosePair& poses, double s
   cv::Mat rest;
   bodies.rest->render(*geometry_, grid_, poses.rest, poses.target * bodies.centre, rest);
   image += rest;
-  cv::Mat slope;
-  cv::Mat by_saturation;
-  saturate(saturation, image, slope, by_saturation);
+  saturate(saturation, image);
   image = highPassed(image);
 }
 

@@ -226,17 +226,14 @@ private:
   Outcome descendFrom(const Run& run, const PosePair& start, RegistrationResult& result) const
   {
     const RegistrationRequest& request = run.request;
-    const std::vector<double> before = similarities(descender_->makeViews(run, start, kFine), *bodies_, start);
-    result.similarity_before = std::accumulate(before.begin(), before.end(), 0.0) / static_cast<double>(before.size());
-    // What cannot be compared at the start is the request's fault, later on a descent's: refused as INVALID here alone.
-    descender_->makeViews(run, start, kCoarse);
-
+    FineLevel fine = descender_->fineLevel(run, start);
+    result.similarity_before = fine.at.meanSimilarity();
+    const std::vector<double>& before = fine.at.similarity;
     const bool near = *std::min_element(before.begin(), before.end()) >= kNearlyThere;
-    const Path first = options_.optimiser != Optimiser::GAUSS_NEWTON ? Path::COARSE
-                       : near                                        ? Path::FINE
-                       : request.start_verified                      ? Path::SHIFT
-                                                                     : Path::COARSE;
-    Outcome best = descender_->descend(run, start, first);
+    const bool by_newton = options_.optimiser == Optimiser::GAUSS_NEWTON;
+    const Path first = request.start_verified && by_newton ? Path::SHIFT : Path::COARSE;
+    Outcome best =
+        near && by_newton ? descender_->descend(run, start, std::move(fine)) : descender_->descend(run, start, first);
     if (options_.optimiser != Optimiser::GAUSS_NEWTON)
     {
       return best;
@@ -248,7 +245,7 @@ private:
       // One is led by what most of the images show, the other by the start: neither is always right.
       for (const Path path : { Path::MEDIUM, Path::COARSE })
       {
-        if (stopped() || path == first || (path == Path::MEDIUM && descender_->moving() != Moving::BOTH))
+        if (stopped() || (path == first && !near) || (path == Path::MEDIUM && descender_->moving() != Moving::BOTH))
         {
           continue;
         }
@@ -270,7 +267,12 @@ private:
         result.rivals = std::move(found.rivals);
       }
     }
-    if (best.doubt.empty())
+    if (!best.doubt.empty())
+    {
+      // What cannot be compared at the start is the request's fault: refused as INVALID.
+      descender_->makeViews(run, start, kCoarse);
+    }
+    else
     {
       compareWithNeighbours(run, best, result.rivals);
     }

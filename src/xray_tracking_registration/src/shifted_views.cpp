@@ -38,26 +38,23 @@ void forShifts(double reach, double step, Visit visit)
 }
 }  // namespace
 
-ShiftedViews::ShiftedViews(const Run& run, const Bodies& bodies, const std::vector<ViewLevel>& views,
-                           const PosePair& poses, double reach)
+ShiftedViews::ShiftedViews(const Run& run, const std::vector<ViewLevel>& views, const std::vector<cv::Mat>& models,
+                           const Eigen::Vector3d& room_centre, double reach)
   : views_(views.size())
 {
-  tbb::parallel_for(std::size_t{ 0 }, views.size(),
-                    [&](std::size_t v)
-                    {
-                      views_[v] = slide(run.request.views[v], run.attenuation[v], bodies, views[v],
-                                        poses.saturationOf(v), poses, reach);
-                    });
+  tbb::parallel_for(
+      std::size_t{ 0 }, views.size(),
+      [&](std::size_t v)
+      { views_[v] = slide(run.request.views[v], run.attenuation[v], views[v], models[v], room_centre, reach); });
 }
 
-ShiftedViews::View ShiftedViews::slide(const RegistrationView& view, const cv::Mat& attenuation, const Bodies& bodies,
-                                       const ViewLevel& level, double saturation, const PosePair& poses, double reach)
+ShiftedViews::View ShiftedViews::slide(const RegistrationView& view, const cv::Mat& attenuation, const ViewLevel& level,
+                                       const cv::Mat& model, const Eigen::Vector3d& room_centre, double reach)
 {
-  const Eigen::Vector3d centre = poses.target * bodies.centre;
   const ProjectionGeometry& geometry = view.geometry;
   const auto bin = static_cast<int>(level.bin());
   const double edge = bin * geometry.pixelPitch().mean();
-  const auto bins = static_cast<int>(std::ceil(reach * geometry.magnification(centre) / edge));
+  const auto bins = static_cast<int>(std::ceil(reach * geometry.magnification(room_centre) / edge));
   const cv::Rect here(level.firstBin(), level.size());
   const cv::Rect around(here.x - bins, here.y - bins, here.width + 2 * bins, here.height + 2 * bins);
   const ViewLevel searched(geometry, attenuation, view.usable, cv::Rect(around.tl() * bin, around.size() * bin),
@@ -69,8 +66,6 @@ ShiftedViews::View ShiftedViews::slide(const RegistrationView& view, const cv::M
   {
     throw std::invalid_argument("view " + geometry.name() + ": nothing around the region");
   }
-  cv::Mat model;
-  level.modelImage(bodies, poses, saturation, model);
   cv::matchTemplate(searched.measuredImage(), model, slid.correlation, cv::TM_CCOEFF_NORMED);
   if (searched.valid().minCoeff() < 1.0f)
   {
@@ -83,7 +78,7 @@ ShiftedViews::View ShiftedViews::slide(const RegistrationView& view, const cv::M
   for (int axis = 0; axis < 3; ++axis)
   {
     const Eigen::Vector3d half = 0.5 * Eigen::Vector3d::Unit(axis);
-    slid.shifts.col(axis) = (geometry.project(centre + half) - geometry.project(centre - half)) / bin;
+    slid.shifts.col(axis) = (geometry.project(room_centre + half) - geometry.project(room_centre - half)) / bin;
   }
   return slid;
 }
@@ -121,12 +116,18 @@ double ShiftedViews::here() const
   return sum / static_cast<double>(views_.size());
 }
 
-Distinctness distinctnessOf(const Run& run, const Bodies& bodies, const std::vector<ViewLevel>& fine,
-                            const PosePair& poses)
+Distinctness distinctnessOf(const Run& run, const FineLevel& fine, const Eigen::Vector3d& room_centre)
 {
+  std::vector<cv::Mat> models;
+  for (std::size_t v = 0; v < fine.views.size(); ++v)
+  {
+    const Eigen::VectorXf& image = fine.at.models[v].image;
+    models.emplace_back(fine.views[v].size(), CV_32FC1);
+    std::copy_n(image.data(), image.size(), models.back().ptr<float>());
+  }
   try
   {
-    const ShiftedViews views(run, bodies, fine, poses, kReach);
+    const ShiftedViews views(run, fine.views, models, room_centre, kReach);
     Distinctness result;
     result.here = views.here();
     double sum = 0.0;
@@ -163,9 +164,12 @@ Eigen::Vector3d mostAlikeShift(const Run& run, const Bodies& bodies, const std::
                                const PosePair& poses, double reach)
 {
   Eigen::Vector3d best = Eigen::Vector3d::Zero();
+  std::vector<cv::Mat> models(views.size());
+  tbb::parallel_for(std::size_t{ 0 }, views.size(),
+                    [&](std::size_t v) { views[v].modelImage(bodies, poses, poses.saturationOf(v), models[v]); });
   try
   {
-    const ShiftedViews shifted(run, bodies, views, poses, reach);
+    const ShiftedViews shifted(run, views, models, poses.target * bodies.centre, reach);
     double most = -1.0;
     forShifts(reach, kShiftStep,
               [&](const Eigen::Vector3d& shift)

@@ -21,10 +21,12 @@ class ShiftedViews
 {
 public:
   /// @param views levels at the pose; without what lies around their regions in the images they cannot be slid
+  /// @param models of the views at the pose, high-passed, CV_32FC1
+  /// @param room_centre of the target at the pose
   /// @param reach of the shifts along the room's axes [mm]
   /// @throws std::invalid_argument naming the view that cannot be slid
-  ShiftedViews(const Run& run, const Bodies& bodies, const std::vector<ViewLevel>& views, const PosePair& poses,
-               double reach);
+  ShiftedViews(const Run& run, const std::vector<ViewLevel>& views, const std::vector<cv::Mat>& models,
+               const Eigen::Vector3d& room_centre, double reach);
 
   /// Mean over the views of the correlation with the target shifted, -1 to 1; nothing where a view does not show
   /// enough.
@@ -40,8 +42,8 @@ private:
     Eigen::Matrix<double, 2, 3> shifts;  ///< by a shift of the target in the room [bins / mm]
   };
 
-  static View slide(const RegistrationView& view, const cv::Mat& attenuation, const Bodies& bodies,
-                    const ViewLevel& level, double saturation, const PosePair& poses, double reach);
+  static View slide(const RegistrationView& view, const cv::Mat& attenuation, const ViewLevel& level,
+                    const cv::Mat& model, const Eigen::Vector3d& room_centre, double reach);
 
   std::vector<View> views_;
 };
@@ -50,8 +52,8 @@ private:
 /// other places, and no better the more of noise, tissue and other bodies there is to be like. All zero if a view
 /// cannot be slid.
 /// @param fine the views at the pose, as they were compared
-Distinctness distinctnessOf(const Run& run, const Bodies& bodies, const std::vector<ViewLevel>& fine,
-                            const PosePair& poses);
+/// @param room_centre of the target there
+Distinctness distinctnessOf(const Run& run, const FineLevel& fine, const Eigen::Vector3d& room_centre);
 
 /// The shift, of at most `reach` along the room's axes, with which the views are most alike; none if a view cannot be
 /// slid [mm].
