@@ -244,6 +244,7 @@ RegionFit::RegionFit(const cv::Mat& image, const IntensityModel& intensity, cons
   sorted_.resize(tiles);
   product_.resize(tiles * unknowns_);
   contributions_.resize(tiles, parameters);
+  around_.resize(tiles, parameters);
 }
 
 void RegionFit::store(const Eigen::MatrixXf& slopes, const std::array<Eigen::MatrixXf, 2>& instruments,

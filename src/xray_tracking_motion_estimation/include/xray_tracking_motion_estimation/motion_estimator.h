@@ -39,15 +39,16 @@ struct MotionEstimationOptions
 
   /// Standard deviation of a track along either pixel axis that the tracker's own covariance does not know of, at the
   /// target [mm], > 0: surroundings that move otherwise, blur. Added to every track's covariance in weights, results
-  /// and the consistency gate.
+  /// and the consistency gate. Its variance grows by (the rotation that is seen / 1 degree)^2.
   double floor_sigma = 0.135;
 
   /// The same for each of the four numbers of a track's linear part, > 0: what a rotation out of the plane does to a
-  /// region whose depth varies, surroundings. 0.01 makes an angle uncertain by 0.4 degrees.
+  /// region whose depth varies, surroundings. 0.01 makes an angle uncertain by 0.4 degrees. Grows as floor_sigma does.
   double linear_floor_sigma = 0.005;
 
   /// Standard deviation of the patient's rotation about each room axis since the reference pose, before anything is
-  /// measured [rad], > 0. What the tracks do not tell of the rotation is estimated as zero with this uncertainty.
+  /// measured [rad], > 0. What the tracks do not tell of the rotation is estimated as zero with this uncertainty, or
+  /// with that of the rotation they tell of, root mean square of two axes, where that is larger.
   double rotation_sigma = 0.0349;
 
   /// Standard deviation, along any room axis, of what tracking takes for the target's motion and is that of other
