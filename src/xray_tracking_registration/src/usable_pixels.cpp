@@ -21,7 +21,8 @@ void UsablePixels::apply(std::int64_t stamp_ns, RegistrationRequest& request)
     const std::optional<std::int64_t> before = detector.repeated.add(view.image, stamp_ns);
     if (before && *before < stamp_ns)
     {
-      throw std::invalid_argument(message("view ", view.geometry.name(), ": the image is, bit for bit, that of ",
+      throw std::invalid_argument(message("view ", view.geometry.name(),
+                                          ": the image is, bit for bit in every eighth row, that of ",
                                           1e-9 * static_cast<double>(stamp_ns - *before), " s before"));
     }
     if (detector.inspected != view.image.size())
