@@ -33,15 +33,22 @@ const Twist kRestInformation =
 /// chosen, the rest goes to and fro by millimetres without it.
 const Twist kRestFollowed = 16.0 * kRestInformation;
 /// A rival with more than this share of an outcome's similarity is as good. Right places' rivals stay below 0.87 in 95
-/// of 100 (random subjects), the next vertebra of C3 and C5 below 0.93; where a wrong place was taken for its being
-/// nearer to the start, the right one has more than 1.
-constexpr double kAsGood = 0.95;
+/// of 100 (random subjects), the next vertebra of C3 and C5 below 0.92 in 96; where a wrong place was taken for its
+/// being nearer to the start, the right one has more than 1.
+constexpr double kAsGood = 0.92;
+/// Half a neck's vertebra [mm].
+constexpr double kSamePlace = 9.0;
 /// Wrong results of one body, where the rest had moved by 14 mm, reach 0.62 and look right otherwise (phantom, C3 to
 /// C5).
 constexpr double kOneBody = 0.7;
 /// What two bodies may differ by from one body that is believed [mm].
 constexpr double kMaxParted = 0.8;
 }  // namespace
+
+bool nearVerifiedStart(const Run& run, const RigidTransform& room_from_patient)
+{
+  return run.request.start_verified && run.control.distance(room_from_patient) < kSamePlace;
+}
 
 void doubtFor(std::string reason, Outcome& outcome)
 {
@@ -236,7 +243,7 @@ void Descender::judge(const Run& run, const FineLevel& fine, Outcome& outcome) c
   figures.here = distinctness.here;
   figures.rival = distinctness.rival;
   figures.distinctness = distinctness.z;
-  outcome.probability = probabilityOf(figures);
+  outcome.probability = probabilityOf(figures, nearVerifiedStart(run, poses.target));
   const bool known = outcome.covariance.allFinite() &&
                      std::all_of(outcome.views.begin(), outcome.views.end(),
                                  [](const ViewResidual& view)

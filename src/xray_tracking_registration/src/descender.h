@@ -56,6 +56,9 @@ struct Run
   RunControl& control;
 };
 
+/// Whether a pose is so near a start that is verified that no other vertebra lies between.
+bool nearVerifiedStart(const Run& run, const RigidTransform& room_from_patient);
+
 /// Descends from one start to the pose that is most alike, and judges it.
 class Descender
 {

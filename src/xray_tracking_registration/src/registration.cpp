@@ -286,7 +286,7 @@ private:
   {
     const RigidTransform& start = run.request.room_from_patient;
     const RigidTransform found = best.poses.target;
-    if (run.request.start_verified && run.control.distance(found) < 0.5 * kNeighbour)
+    if (nearVerifiedStart(run, found))
     {
       return;
     }

@@ -31,6 +31,7 @@ TEST(Belief, EveryFigureSpeaksAsItsMeaningHasIt)
     figures.*figure = value;
     return probabilityOf(figures);
   };
+  EXPECT_GT(probabilityOf(middling(), true), probability);
   EXPECT_LT(changed(&BeliefFigures::expected_error_mm, 1.0), probability);
   EXPECT_LT(changed(&BeliefFigures::pull_mm, 1.0), probability);
   EXPECT_GT(changed(&BeliefFigures::least_similarity, 0.7), probability);

@@ -15,7 +15,7 @@ import numpy
 BELIEVED_TRE_MM = 1.5  # what a believed result is not off by; kBelievedError of registration.h
 RIGHT_TRE_MM = 1.0
 LEARNT_ERROR_MM = 1.0
-AS_GOOD = 0.95  # share of a result's similarity from which on a rival is as good; kAsGood of descender.cpp
+AS_GOOD = 0.92  # share of a result's similarity from which on a rival is as good; kAsGood of descender.cpp
 
 
 def stretched(similarity):
