@@ -22,6 +22,7 @@ static_assert(static_cast<int>(GateReason::UNCERTAIN) == Message::UNCERTAIN);
 static_assert(static_cast<int>(GateReason::DISPLACED) == Message::DISPLACED);
 static_assert(static_cast<int>(GateReason::JUMP) == Message::JUMP);
 static_assert(static_cast<int>(GateReason::CONFIRMING) == Message::CONFIRMING);
+static_assert(static_cast<int>(GateReason::UNVERIFIED) == Message::UNVERIFIED);
 
 constexpr double kWatchdogPeriod = 0.02;  // s
 
