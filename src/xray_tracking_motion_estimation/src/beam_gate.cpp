@@ -32,8 +32,9 @@ double seconds(std::int64_t nanoseconds)
 
 const char* gateReasonName(GateReason reason)
 {
-  static const char* const kNames[] = { "NONE",      "NO_EXPOSURE", "NOT_MEASURED", "INCONSISTENT", "STALE",     "BAD_STAMP",
-                                        "UNCERTAIN", "DISPLACED",   "JUMP",         "CONFIRMING",   "UNVERIFIED" };
+  static const char* const kNames[] = { "NONE",  "NO_EXPOSURE", "NOT_MEASURED", "INCONSISTENT",
+                                        "STALE", "BAD_STAMP",   "UNCERTAIN",    "DISPLACED",
+                                        "JUMP",  "CONFIRMING",  "UNVERIFIED" };
   return kNames[static_cast<std::size_t>(reason)];
 }
 
@@ -104,11 +105,6 @@ BeamGate::Verdict BeamGate::judge(const GateExposure& exposure) const
   {
     return { GateReason::STALE, compose("the exposure was ", seconds(exposure.delay),
                                         " s old when its pose came, expected at most ", seconds(maxAge()), " s") };
-  }
-  // Before all that is said of the target's place: while nothing is verified that is a guess.
-  if (std::string fault = verification_.fault(); !fault.empty())
-  {
-    return { GateReason::UNVERIFIED, std::move(fault) };
   }
   if (Verdict verdict = judgeSpeed(exposure); verdict.reason != GateReason::NONE)
   {
@@ -195,12 +191,18 @@ bool BeamGate::update(const GateExposure& exposure)
 
   // A missing exposure is a missed chance to see that something is wrong, if it is missing for long.
   const bool gap = previous && exposure.stamp - *previous > maxAge();
+  good_ = verdict.reason != GateReason::NONE ? 0 : gap ? 1 : good_ + 1;
+  // Before all that is said of the target's place: while nothing is verified that is a guess. Whether exposures are
+  // good otherwise is seen meanwhile.
+  if (std::string fault = verification_.fault(); measured && verdict.reason != GateReason::STALE && !fault.empty())
+  {
+    good_ = open() ? 0 : good_;
+    return change({ GateReason::UNVERIFIED, std::move(fault) });
+  }
   if (verdict.reason != GateReason::NONE)
   {
-    good_ = 0;
     return change(verdict);
   }
-  good_ = gap ? 1 : good_ + 1;
   const int needed = jump_ ? options_.jump_exposures : options_.good_exposures;
   if (good_ >= needed)
   {
@@ -243,6 +245,7 @@ bool BeamGate::refined(std::int64_t stamp, const Eigen::Vector3d& correction, do
   else
   {
     verification_.doubt("the registration alone has found the target again, which it has to confirm once more");
+    good_ = 0;
   }
   const Verdict verdict = judgePlace(displacement_, rotation_);
   if (!open() || verdict.reason == GateReason::NONE)
@@ -256,12 +259,14 @@ bool BeamGate::refined(std::int64_t stamp, const Eigen::Vector3d& correction, do
 bool BeamGate::refused(const std::string& why, bool contradicts)
 {
   verification_.refuse(why, contradicts);
+  good_ = contradicts ? 0 : good_;
   return reviewVerification();
 }
 
 bool BeamGate::doubt(const std::string& why)
 {
   verification_.doubt(why);
+  good_ = 0;
   return reviewVerification();
 }
 
@@ -274,10 +279,9 @@ bool BeamGate::reviewVerification()
   }
   if (std::string fault = verification_.fault(); !fault.empty())
   {
-    good_ = 0;
     return change({ GateReason::UNVERIFIED, std::move(fault) });
   }
-  return open() ? false : change({ GateReason::CONFIRMING, "verified, but needs further good exposures" });
+  return open() ? false : change({ GateReason::CONFIRMING, "verified, but the next exposure has to be good, too" });
 }
 
 bool BeamGate::reset(const std::string& why)

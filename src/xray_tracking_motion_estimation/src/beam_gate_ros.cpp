@@ -73,6 +73,7 @@ void BeamGateRos::logAndPublish(bool changed)
   message.header.stamp = ros::Time::now();
   message.header.frame_id = kRoomFrame;
   message.open = gate_.open();
+  message.verified = gate_.verification().verified();
   message.reason = static_cast<std::uint8_t>(gate_.reason());
   message.text = gate_.text();
   if (const auto age = gate_.age(steadyNanoseconds()))

@@ -397,7 +397,7 @@ TEST_F(BeamGateTest, StaysClosedWhileNothingVerifiesTheInitialPose)
   EXPECT_NE(gate.text().find("initial_pose_verified"), std::string::npos) << gate.text();
 }
 
-// What is not verified hides neither what is worse, nor that the target jumped meanwhile.
+// What is not verified does not hide what is worse; it does hide a place that is a guess.
 TEST_F(BeamGateTest, SaysWhatIsWorseThanUnverified)
 {
   gate = BeamGate(BeamGateOptions());
@@ -421,6 +421,25 @@ protected:
   }
 
   void confirm() { gate.refined(stamp, Eigen::Vector3d::Zero(), 0.0, true); }
+
+  /// Good exposures until `count` have come, the gate closed before each of them; open then.
+  void openAfter(int count)
+  {
+    for (int i = 0; i < count; ++i)
+    {
+      EXPECT_FALSE(gate.open());
+      gate.update(good());
+    }
+    EXPECT_TRUE(gate.open()) << gate.text();
+  }
+
+  /// Verified at the first exposure.
+  void openVerified()
+  {
+    gate.update(good());
+    confirm();
+    openAfter(options.good_exposures - 1);
+  }
 };
 
 TEST_F(VerifiedByRegistrationTest, OpensAfterARefinementAndGoodExposures)
@@ -436,20 +455,32 @@ TEST_F(VerifiedByRegistrationTest, OpensAfterARefinementAndGoodExposures)
   EXPECT_TRUE(gate.refined(stamp, Eigen::Vector3d::Zero(), 0.0, true));
   // Told at once, also if no further exposure comes.
   EXPECT_EQ(gate.reason(), GateReason::CONFIRMING);
-  openIt();
+  // They have been good otherwise all the time.
+  openAfter(1);
+}
+
+TEST_F(VerifiedByRegistrationTest, ExposuresThatWereBadOtherwiseDoNotCount)
+{
+  for (int i = 0; i < 10; ++i)
+  {
+    GateExposure bad = good();
+    bad.rotation = 2.0 * options.max_rotation;
+    gate.update(bad);
+    EXPECT_EQ(gate.reason(), GateReason::UNVERIFIED) << "which place is bad is a guess";
+  }
+  confirm();
+  openAfter(options.good_exposures);
 }
 
 TEST_F(VerifiedByRegistrationTest, ARefinementOfAnExposureWithoutAPoseVerifiesNothing)
 {
-  gate.update(good());
-  confirm();
-  openIt();
+  openVerified();
   EXPECT_TRUE(gate.refined(stamp, Eigen::Vector3d::Zero(), 0.0, false));
   EXPECT_EQ(gate.reason(), GateReason::UNVERIFIED);
   gate.update(good());
   EXPECT_EQ(gate.reason(), GateReason::UNVERIFIED);
   confirm();
-  openIt();
+  openAfter(options.good_exposures - 1);
 }
 
 TEST_F(VerifiedByRegistrationTest, ClosesOnceNothingHasConfirmedItForLong)
@@ -457,7 +488,7 @@ TEST_F(VerifiedByRegistrationTest, ClosesOnceNothingHasConfirmedItForLong)
   gate.update(good());
   confirm();
   const std::int64_t confirmed = stamp;
-  openIt();
+  openAfter(options.good_exposures - 1);
   while (stamp - confirmed <= 2950 * kMillisecond)
   {
     gate.update(good());
@@ -472,14 +503,12 @@ TEST_F(VerifiedByRegistrationTest, ClosesOnceNothingHasConfirmedItForLong)
   EXPECT_EQ(gate.reason(), GateReason::UNVERIFIED);
   EXPECT_NE(gate.text().find("flat optimum"), std::string::npos) << gate.text();
   confirm();
-  openIt();
+  openAfter(options.good_exposures);
 }
 
 TEST_F(VerifiedByRegistrationTest, ClosesAtOnceOnAContradiction)
 {
-  gate.update(good());
-  confirm();
-  openIt();
+  openVerified();
   EXPECT_TRUE(gate.refused("the correction is 7 mm", true));
   EXPECT_EQ(gate.reason(), GateReason::UNVERIFIED);
   EXPECT_NE(gate.text().find("the correction is 7 mm"), std::string::npos) << gate.text();
@@ -488,15 +517,15 @@ TEST_F(VerifiedByRegistrationTest, ClosesAtOnceOnAContradiction)
     gate.update(good());
     EXPECT_EQ(gate.reason(), GateReason::UNVERIFIED);
   }
+  // Each of them counts.
+  gate.refused("the correction is 7 mm", true);
   confirm();
-  openIt();
+  openAfter(options.good_exposures);
 }
 
 TEST_F(VerifiedByRegistrationTest, ADoubtClosesAtOnce)
 {
-  gate.update(good());
-  confirm();
-  openIt();
+  openVerified();
   EXPECT_TRUE(gate.doubt("the templates are of another time"));
   EXPECT_EQ(gate.reason(), GateReason::UNVERIFIED);
   EXPECT_NE(gate.text().find("the templates are of another time"), std::string::npos) << gate.text();
@@ -504,9 +533,7 @@ TEST_F(VerifiedByRegistrationTest, ADoubtClosesAtOnce)
 
 TEST_F(VerifiedByRegistrationTest, NothingIsVerifiedWhenTimeStartsAgain)
 {
-  gate.update(good());
-  confirm();
-  openIt();
+  openVerified();
   gate.reset("time went back");
   for (int i = 0; i < 10; ++i)
   {
@@ -523,7 +550,7 @@ TEST_F(VerifiedByRegistrationTest, HoldsOverExposuresThatAreFarApart)
   for (int i = 0; i < 20; ++i)
   {
     gate.update(good(20000 * kMillisecond));
-    EXPECT_EQ(gate.open(), i >= options.good_exposures) << i << ' ' << gate.text();
+    EXPECT_EQ(gate.open(), i + 1 >= options.good_exposures) << i << ' ' << gate.text();
     if (i % 2 == 0)
     {
       confirm();

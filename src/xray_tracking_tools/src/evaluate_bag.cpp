@@ -67,6 +67,12 @@ int evaluateBag(const po::variables_map& arguments)
   {
     evaluation.sequence = arguments["name"].as<std::string>();
   }
+  evaluation.gate = gateCounts(evaluation, record);
+  if (evaluation.gate->verified == 0)
+  {
+    problems.push_back("nothing was verified, the poses may all be wrong: " +
+                       (record.unverified.empty() ? "the bag has no beam_gate" : record.unverified));
+  }
   writeEvaluation(evaluation, arguments["OUT_DIR"].as<std::string>());
   std::cout << formatTable(evaluation) << std::flush;
 
@@ -93,9 +99,9 @@ int main(int argc, char** argv)
   command_line.usage = "BAG OUT_DIR --setup SETUP.yaml [--sequence DIR] [--frames N] [--name NAME]";
   command_line.description =
       "Compares the recorded patient poses with the gold standard; writes tre.csv, poses.csv and summary.json, prints\n"
-      "the summary. Exit status 0 only if every exposure was answered and the target never lost: by the registration "
-      "if\n"
-      "the run had one, else by tracking.";
+      "the summary. Exit status 0 only if every exposure was answered, the target never lost (by the registration if "
+      "the\n"
+      "run had one, else by tracking), and the beam gate took the pose of some exposure for verified.";
   command_line.arguments = { "BAG", "OUT_DIR" };
   command_line.options.add_options()("setup", po::value<std::string>(), "setup file of a live run: the target box")(
       "sequence", po::value<std::string>(), "the folder that was played: target box, exposures, gold standard")(
