@@ -27,7 +27,7 @@ void PoseVerification::restart()
 {
   confirmed_.reset();
   refusals_ = 0;
-  last_refusal_.clear();
+  refused_last_ = false;
   claimed_ = true;
   if (options_.registration)
   {
@@ -59,16 +59,21 @@ void PoseVerification::update(std::int64_t stamp, std::int64_t interval)
 
 void PoseVerification::confirm(std::int64_t stamp)
 {
+  if (refused_last_)
+  {
+    refused_last_ = false;
+    return;
+  }
   confirmed_ = stamp;
   doubt_.clear();
   claimed_ = false;
   refusals_ = 0;
-  last_refusal_.clear();
 }
 
 void PoseVerification::refuse(const std::string& why, bool contradicts)
 {
   ++refusals_;
+  refused_last_ = true;
   last_refusal_ = why;
   if (contradicts)
   {
@@ -112,7 +117,8 @@ std::string PoseVerification::fault() const
   }
   else if (options_.registration)
   {
-    text << "; " << refusals_ << " refused since, the last one: " << last_refusal_;
+    text << "; " << refusals_ << " refused since, the last one: " << last_refusal_
+         << (refused_last_ ? "" : "; then one was accepted, and it takes two in a row");
   }
   return text.str();
 }

@@ -107,6 +107,10 @@ TEST(PoseVerification, ARefusalByItselfTakesNothingBack)
   EXPECT_TRUE(says(verification, "1 refused since, the last one: the optimum is flat")) << verification.fault();
   verification.update(kStart, 200 * kMillisecond);
   verification.confirm(kStart);
+  EXPECT_FALSE(verification.verified()) << "the first one after a refusal";
+  EXPECT_TRUE(says(verification, "two in a row")) << verification.fault();
+  EXPECT_TRUE(verification.due());
+  verification.confirm(kStart);
   for (int i = 0; i < 7; ++i)
   {
     verification.refuse("the probability is 0.4", false);
@@ -128,8 +132,30 @@ TEST(PoseVerification, AContradictionTakesItBackUntilTheNextConfirmation)
   EXPECT_TRUE(says(verification, "contradict")) << verification.fault();
   EXPECT_TRUE(says(verification, "the correction is 7 mm")) << verification.fault();
   verification.confirm(kStart + 200 * kMillisecond);
+  EXPECT_FALSE(verification.verified());
+  verification.confirm(kStart + 400 * kMillisecond);
   EXPECT_TRUE(verification.verified());
   EXPECT_FALSE(verification.due());
+}
+
+// A registration that is asked about a wrong pose and believes it now and then.
+TEST(PoseVerification, AcceptedOnesAmongRefusalsVerifyNothing)
+{
+  PoseVerification verification(withRegistration());
+  for (int i = 0; i < 100; ++i)
+  {
+    const std::int64_t stamp = kStart + i * kSecond / 5;
+    verification.update(stamp, kSecond / 5);
+    if (i % 2 == 0)
+    {
+      verification.refuse("the probability is 0.4", false);
+    }
+    else
+    {
+      verification.confirm(stamp);
+    }
+    EXPECT_FALSE(verification.verified());
+  }
 }
 
 TEST(PoseVerification, StampsAsFarApartAsTheyGoAreNoError)

@@ -11,8 +11,8 @@ struct PoseVerificationOptions
   /// Whether a registration is asked. It then has to confirm the pose, at the start and again and again.
   bool registration = false;
 
-  /// Without a registration: somebody states that the patient is at the initial pose when the first templates are learnt.
-  /// Holds until there is a doubt. With one it counts for nothing.
+  /// Without a registration: somebody states that the patient is at the initial pose when the first templates are
+  /// learnt. Holds until there is a doubt. With one it counts for nothing.
   bool initial_pose_verified = false;
 
   /// Tracks that no registration has confirmed for longer than both of these are not believed: tissue that moves
@@ -20,7 +20,7 @@ struct PoseVerificationOptions
   /// [s], > 0. Within a breath, of 3 to 5 s, tissue has been to all the places that it goes to; at 5 Hz these are 15
   /// exposures that were refused in a row.
   double max_unverified_time = 3.0;
-  /// [exposure intervals], >= 1. For exposures that are seconds apart: two may be refused.
+  /// [exposure intervals], >= 1. For exposures that are seconds apart: one may be refused.
   double max_unverified_exposures = 3.0;
 
   /// @throws std::invalid_argument naming the key, its value and what was expected
@@ -28,8 +28,9 @@ struct PoseVerificationOptions
 };
 
 /// Whether the poses that tracks lead to are verified. Tracks tell how the target moved, not where it was at first: the
-/// initial pose is a claim. What verifies it is an accepted refinement: the registration believes a pose, and the tracks
-/// agree with it.
+/// initial pose is a claim. What verifies it is an accepted refinement: the registration believes a pose, and the
+/// tracks agree with it. After one that was refused it takes two in a row: who asks often enough about a wrong pose
+/// will be told once that it is right.
 ///
 /// No clock of its own; stamps are those of exposures [ns].
 class PoseVerification
@@ -47,7 +48,7 @@ public:
   /// The latest exposure. @param interval between exposures [ns]
   void update(std::int64_t stamp, std::int64_t interval);
 
-  /// An accepted refinement of a tracked exposure.
+  /// An accepted refinement of a tracked exposure, later than the one before.
   void confirm(std::int64_t stamp);
 
   /// What the registration found was not accepted, or it found nothing.
@@ -58,7 +59,8 @@ public:
   std::string fault() const;
   bool verified() const { return doubt_.empty() && !lapsed(); }
 
-  /// Whether it is time to ask a registration: nothing is verified, or half of the time that a verification holds is over.
+  /// Whether it is time to ask a registration: nothing is verified, or half of the time that a verification holds is
+  /// over.
   bool due() const;
 
 private:
@@ -73,7 +75,8 @@ private:
   std::optional<std::int64_t> confirmed_;  ///< exposure of the last accepted refinement
   std::int64_t latest_ = 0;
   std::int64_t interval_ = 0;
-  int refusals_ = 0;  ///< since then
+  int refusals_ = 0;           ///< since then
+  bool refused_last_ = false;  ///< and not accepted
   std::string last_refusal_;
 };
 }  // namespace xray_tracking
