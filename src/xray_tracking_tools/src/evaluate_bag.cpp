@@ -68,11 +68,6 @@ int evaluateBag(const po::variables_map& arguments)
     evaluation.sequence = arguments["name"].as<std::string>();
   }
   evaluation.gate = gateCounts(evaluation, record);
-  if (evaluation.gate->verified == 0)
-  {
-    problems.push_back("nothing was verified, the poses may all be wrong: " +
-                       (record.unverified.empty() ? "the bag has no beam_gate" : record.unverified));
-  }
   writeEvaluation(evaluation, arguments["OUT_DIR"].as<std::string>());
   std::cout << formatTable(evaluation) << std::flush;
 
@@ -84,11 +79,17 @@ int evaluateBag(const po::variables_map& arguments)
   {
     std::cerr << unanswered << "\n";
   }
+  const bool verified = evaluation.gate->verified > 0;
+  if (!verified)
+  {
+    std::cerr << "nothing was verified, the poses may all be wrong: "
+              << (record.unverified.empty() ? "the bag has no beam_gate" : record.unverified) << "\n";
+  }
   // A run that registers is judged by that: an exposure that tracking lost and registration found is answered.
   const std::vector<FrameResult>& answers = evaluation.methods.back().frames;
   const bool all_answered = std::all_of(answers.begin(), answers.end(),
                                         [](const FrameResult& frame) { return frame.status == FrameStatus::OK; });
-  return problems.empty() && all_answered ? 0 : 1;
+  return problems.empty() && all_answered && verified ? 0 : 1;
 }
 }  // namespace
 }  // namespace xray_tracking
