@@ -51,6 +51,18 @@ class ConfigurationTest(unittest.TestCase):
                         self.assertTrue(roslib.packages.find_node(node.package, node.type),
                                         f"{node.package}/{node.type}")
 
+    def test_who_verifies_the_pose(self):
+        path = next(path for path in files("launch", "*.launch") if path.name == "tracking.launch")
+        arguments = REQUIRED_ARGUMENTS[path.name]
+        for method, mode in zip(METHODS, ("never", "on_demand", "every_frame")):
+            params = load(path, arguments + [f"method:={method}"]).params
+            self.assertEqual(params["/motion_estimation/refinement/mode"].value, mode)
+            self.assertIs(params["/motion_estimation/gate/initial_pose_verified"].value, False)
+        for name in ("tracking.launch", "playback.launch", "treatment_room.launch"):
+            path = next(path for path in files("launch", "*.launch") if path.name == name)
+            params = load(path, REQUIRED_ARGUMENTS.get(name, []) + ["initial_pose_verified:=true"]).params
+            self.assertIs(params["/motion_estimation/gate/initial_pose_verified"].value, True)
+
     def test_every_yaml_file_is_one(self):
         paths = list(files("config", "*.yaml")) + list(files("rviz", "*.rviz"))
         self.assertGreaterEqual(len(paths), 5)

@@ -14,7 +14,7 @@ import yaml
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
-from xray_tracking_msgs.msg import PatientMotion, TrackedRegion
+from xray_tracking_msgs.msg import BeamGate, PatientMotion, TrackedRegion
 
 DETECTORS = ("detector_a", "detector_b")
 
@@ -49,11 +49,13 @@ class GraphTestCase(unittest.TestCase):
         cls.poses, cls.gold, cls.tf, cls.motions = {}, {}, {}, {}
         cls.regions = {name: {} for name in cls.detectors}
         cls.tf_count = 0
+        cls.gates = []
         cls.diagnosis = {}  # motion_estimation's latest
         cls.subscribers = [
             rospy.Subscriber("patient_pose", PoseWithCovarianceStamped, cls._pose, queue_size=1000),
             rospy.Subscriber("patient_ground_truth", PoseStamped, cls._gold, queue_size=1000),
             rospy.Subscriber("patient_motion", PatientMotion, cls._motion, queue_size=1000),
+            rospy.Subscriber("beam_gate", BeamGate, cls.gates.append, queue_size=1000),
             rospy.Subscriber("/tf", TFMessage, cls._tf, queue_size=1000),
             rospy.Subscriber("/diagnostics", DiagnosticArray, cls._diagnostics, queue_size=1000),
         ] + [
@@ -100,6 +102,17 @@ class GraphTestCase(unittest.TestCase):
     def refinements(self, outcome):
         """How many were `accepted`, `refused` or `without an answer`."""
         return int(self.diagnosis.get(f"refinements {outcome}", 0))
+
+    def verified(self):
+        """Stamps of the exposures whose poses the gate took for verified."""
+        return {gate.exposure for gate in list(self.gates) if gate.verified} & set(self.motions)
+
+    def assert_never_verified(self, words):
+        self.assertEqual(self.verified(), set())
+        self.assertFalse(any(gate.open for gate in self.gates))
+        texts = [gate.text for gate in self.gates if gate.reason == BeamGate.UNVERIFIED]
+        self.assertTrue(texts)
+        self.assertIn(words, texts[-1])
 
     def wait_for(self, condition, timeout, what):
         """Waits in wall time, so also while a bag's clock stands."""

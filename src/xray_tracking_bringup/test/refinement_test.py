@@ -54,6 +54,7 @@ class RefinementTest(GraphTestCase):
         # Tracking goes on from the refined exposures, so that it is as good between them.
         self.assertLessEqual(np.median(errors[1:]), 0.3)
         self.assertLessEqual(errors.max(), 0.7)
+        self.assertGreater(len(self.verified()), 0.8 * EXPOSURES)
         self.wait_for(lambda: self.refinements("accepted") >= 0.8 * EXPOSURES, 10.0,
                       "most of the refinements are accepted")
 
@@ -63,6 +64,7 @@ class RefinementTest(GraphTestCase):
         self.wait_for(lambda: self.refinements("refused") == EXPOSURES, 10.0, "all refinements are refused")
         self.assertEqual(self.refinements("accepted"), 0)
         self.assertIn("probability", self.diagnosis["last refusal"])
+        self.assert_never_verified("probability")
         # As good as tracking is, which shows what the refinement is for.
         self.assertLess(errors[0], 1e-6)
         self.assertGreater(np.median(errors[1:]), 0.2)

@@ -299,6 +299,21 @@ TEST(EvaluationFiles, SummaryIsJson)
   EXPECT_NEAR(test.get<double>("t"), 2.7 / (0.9 * std::sqrt(2.5) / std::sqrt(5.0)), 1e-6);
   EXPECT_EQ(test.get<int>("n"), 5);
   EXPECT_EQ(tests.get<int>("good vs poor.n"), 2);
+  EXPECT_EQ(json.count("gate"), 0u);
+}
+
+TEST(EvaluationFiles, SummaryTellsOfTheGate)
+{
+  const TemporaryFolder folder;
+  Evaluation evaluation = exampleEvaluation();
+  evaluation.gate = GateCounts{ 4, 3 };
+  writeEvaluation(evaluation, folder.path());
+  boost::property_tree::ptree json;
+  boost::property_tree::read_json(folder.path("summary.json"), json);
+  EXPECT_EQ(json.get<int>("gate.verified"), 4);
+  EXPECT_EQ(json.get<int>("gate.open"), 3);
+  EXPECT_EQ(json.get_child("paired_t_test").size(), 3u);
+  EXPECT_NE(formatTable(evaluation).find("of 6 exposures 4 verified, open in 3\n"), std::string::npos);
 }
 
 TEST(EvaluationFiles, WithoutGoldStandardOrFramesThereAreNulls)

@@ -32,8 +32,9 @@ double seconds(std::int64_t nanoseconds)
 
 const char* gateReasonName(GateReason reason)
 {
-  static const char* const kNames[] = { "NONE",      "NO_EXPOSURE", "NOT_MEASURED", "INCONSISTENT", "STALE",
-                                        "BAD_STAMP", "UNCERTAIN",   "DISPLACED",    "JUMP",         "CONFIRMING" };
+  static const char* const kNames[] = { "NONE",  "NO_EXPOSURE", "NOT_MEASURED", "INCONSISTENT",
+                                        "STALE", "BAD_STAMP",   "UNCERTAIN",    "DISPLACED",
+                                        "JUMP",  "CONFIRMING",  "UNVERIFIED" };
   return kNames[static_cast<std::size_t>(reason)];
 }
 
@@ -56,9 +57,11 @@ void BeamGateOptions::validate() const
   positive("max_speed", max_speed, "a number > 0 mm/s");
   require(good_exposures >= 2, "good_exposures", good_exposures, "2 or more");
   require(jump_exposures >= good_exposures, "jump_exposures", jump_exposures, "good_exposures or more");
+  verification.validate();
 }
 
-BeamGate::BeamGate(const BeamGateOptions& options) : options_(options), intervals_(kIntervals)
+BeamGate::BeamGate(const BeamGateOptions& options)
+  : options_(options), verification_(options.verification), intervals_(kIntervals)
 {
   options_.validate();
 }
@@ -170,6 +173,7 @@ bool BeamGate::update(const GateExposure& exposure)
   }
   last_stamp_ = exposure.stamp;
   last_exposed_ = exposure.arrival - exposure.delay;
+  verification_.update(exposure.stamp, interval());
 
   const Verdict verdict = judge(exposure);
   const bool measured = exposure.fault == GateReason::NONE && verdict.reason != GateReason::NOT_MEASURED;
@@ -187,12 +191,18 @@ bool BeamGate::update(const GateExposure& exposure)
 
   // A missing exposure is a missed chance to see that something is wrong, if it is missing for long.
   const bool gap = previous && exposure.stamp - *previous > maxAge();
+  good_ = verdict.reason != GateReason::NONE ? 0 : gap ? 1 : good_ + 1;
+  // Before all that is said of the target's place: while nothing is verified that is a guess. Whether exposures are
+  // good otherwise is seen meanwhile.
+  if (std::string fault = verification_.fault(); measured && verdict.reason != GateReason::STALE && !fault.empty())
+  {
+    good_ = open() ? 0 : good_;
+    return change({ GateReason::UNVERIFIED, std::move(fault) });
+  }
   if (verdict.reason != GateReason::NONE)
   {
-    good_ = 0;
     return change(verdict);
   }
-  good_ = gap ? 1 : good_ + 1;
   const int needed = jump_ ? options_.jump_exposures : options_.good_exposures;
   if (good_ >= needed)
   {
@@ -215,7 +225,7 @@ bool BeamGate::tick(std::int64_t now)
                                              seconds(maxAge()), " s") });
 }
 
-bool BeamGate::refined(std::int64_t stamp, const Eigen::Vector3d& correction, double rotation)
+bool BeamGate::refined(std::int64_t stamp, const Eigen::Vector3d& correction, double rotation, bool tracked)
 {
   displacement_ += correction;
   rotation_ = rotation;
@@ -228,13 +238,50 @@ bool BeamGate::refined(std::int64_t stamp, const Eigen::Vector3d& correction, do
     jump_.reset();
     good_ = 0;
   }
+  if (tracked)
+  {
+    verification_.confirm(stamp);
+  }
+  else
+  {
+    verification_.doubt("the registration alone has found the target again, which it has to confirm once more");
+    good_ = 0;
+  }
   const Verdict verdict = judgePlace(displacement_, rotation_);
   if (!open() || verdict.reason == GateReason::NONE)
   {
-    return false;
+    return reviewVerification();
   }
   good_ = 0;
   return change(verdict);
+}
+
+bool BeamGate::refused(const std::string& why, bool contradicts)
+{
+  verification_.refuse(why, contradicts);
+  good_ = contradicts ? 0 : good_;
+  return reviewVerification();
+}
+
+bool BeamGate::doubt(const std::string& why)
+{
+  verification_.doubt(why);
+  good_ = 0;
+  return reviewVerification();
+}
+
+bool BeamGate::reviewVerification()
+{
+  // Other reasons stand until the next exposure.
+  if (!open() && reason_ != GateReason::UNVERIFIED)
+  {
+    return false;
+  }
+  if (std::string fault = verification_.fault(); !fault.empty())
+  {
+    return change({ GateReason::UNVERIFIED, std::move(fault) });
+  }
+  return open() ? false : change({ GateReason::CONFIRMING, "verified, but the next exposure has to be good, too" });
 }
 
 bool BeamGate::reset(const std::string& why)
@@ -246,6 +293,7 @@ bool BeamGate::reset(const std::string& why)
   rotation_ = 0.0;
   good_ = 0;
   jump_.reset();
+  verification_.restart();
   return change({ GateReason::NO_EXPOSURE, why });
 }
 

@@ -22,6 +22,7 @@ static_assert(static_cast<int>(GateReason::UNCERTAIN) == Message::UNCERTAIN);
 static_assert(static_cast<int>(GateReason::DISPLACED) == Message::DISPLACED);
 static_assert(static_cast<int>(GateReason::JUMP) == Message::JUMP);
 static_assert(static_cast<int>(GateReason::CONFIRMING) == Message::CONFIRMING);
+static_assert(static_cast<int>(GateReason::UNVERIFIED) == Message::UNVERIFIED);
 
 constexpr double kWatchdogPeriod = 0.02;  // s
 
@@ -72,6 +73,7 @@ void BeamGateRos::logAndPublish(bool changed)
   message.header.stamp = ros::Time::now();
   message.header.frame_id = kRoomFrame;
   message.open = gate_.open();
+  message.verified = gate_.verification().verified();
   message.reason = static_cast<std::uint8_t>(gate_.reason());
   message.text = gate_.text();
   if (const auto age = gate_.age(steadyNanoseconds()))

@@ -207,7 +207,6 @@ void MotionEstimationRos::findReferences()
 {
   const auto& exposure = assembler_->exposure();
   const bool first = history_.empty();
-  const View* first_view = nullptr;
   ros::Time first_stamp, last_stamp;
   for (std::size_t i = 0; i < views_.size(); ++i)
   {
@@ -221,15 +220,8 @@ void MotionEstimationRos::findReferences()
     {
       // The patient is taken to have kept its initial pose until the views track.
       history_.add(nanosecondsFromTime(stamp), reference_);
-      if (!first_view)
-      {
-        first_view = &view;
-        first_stamp = stamp;
-      }
+      first_stamp = first_stamp.isZero() ? stamp : std::min(first_stamp, stamp);
       last_stamp = std::max(last_stamp, stamp);
-      ROS_WARN_STREAM_COND(std::abs((stamp - first_stamp).toSec()) > parameters_.pairing_tolerance,
-                           view.name << " was trained on the exposure at " << stamp << ", " << first_view->name
-                                     << " on that at " << first_stamp << ": motion between them stays unseen");
     }
     if (!view.reference || view.reference->template_stamp != stamp)
     {
@@ -244,24 +236,38 @@ void MotionEstimationRos::findReferences()
       view.doubt = { PatientMotion::NO_REFERENCE, reason.str() };
     }
   }
-  if (first && first_unseen_ && (last_stamp - *first_unseen_).toSec() > parameters_.pairing_tolerance)
+  if (first)
   {
-    doubtStart(*first_unseen_, last_stamp);
+    judgeStart(first_stamp, last_stamp);
   }
 }
 
-void MotionEstimationRos::doubtStart(const ros::Time& from, const ros::Time& to)
+void MotionEstimationRos::judgeStart(const ros::Time& first, const ros::Time& last)
 {
   std::ostringstream doubt;
-  doubt << "the first exposures, from " << from << " to " << to
-        << ", did not show the region, and the patient may have left the initial pose by then: that is not confirmed "
-           "by a "
-           "refinement";
-  start_doubt_ = doubt.str();
-  ROS_WARN_STREAM(start_doubt_);
-  const double moved = parameters_.target_speed * (to - from).toSec();
-  reference_covariance_.topLeftCorner<3, 3>() = moved * moved * Eigen::Matrix3d::Identity();
-  estimator_->setReference(reference_, reference_covariance_);
+  if (first_unseen_ && last.toSec() - first_unseen_->toSec() > parameters_.pairing_tolerance)
+  {
+    doubt << "the first exposures, from " << *first_unseen_ << " to " << last
+          << ", did not show the region, and the patient may have left the initial pose by then";
+    const double moved = parameters_.target_speed * (last.toSec() - first_unseen_->toSec());
+    reference_covariance_.topLeftCorner<3, 3>() = moved * moved * Eigen::Matrix3d::Identity();
+    estimator_->setReference(reference_, reference_covariance_);
+  }
+  else if (last.toSec() - first.toSec() > parameters_.pairing_tolerance)
+  {
+    doubt << "the first templates were learnt at different times, from " << first << " to " << last
+          << ", and the patient may have moved from the initial pose meanwhile";
+  }
+  else if (first_heard_->toSec() - first.toSec() > parameters_.pairing_tolerance)
+  {
+    doubt << "the first templates were learnt at " << first << ", before the first exposure that was heard of here, at "
+          << *first_heard_ << ", and the patient may have been anywhere";
+  }
+  if (!doubt.str().empty())
+  {
+    ROS_WARN_STREAM(doubt.str());
+    gate_->doubt(doubt.str());
+  }
 }
 
 ViewMeasurement MotionEstimationRos::measure(std::size_t view) const

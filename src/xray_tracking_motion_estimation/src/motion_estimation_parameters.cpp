@@ -91,6 +91,9 @@ MotionEstimationParameters readMotionEstimationParameters(const ros::NodeHandle&
   gate.read("max_speed", parameters.gate.max_speed);
   gate.read("good_exposures", parameters.gate.good_exposures);
   gate.read("jump_exposures", parameters.gate.jump_exposures);
+  gate.read("initial_pose_verified", parameters.gate.verification.initial_pose_verified);
+  gate.read("max_unverified_time", parameters.gate.verification.max_unverified_time);
+  gate.read("max_unverified_exposures", parameters.gate.verification.max_unverified_exposures);
 
   Group refinement(reader, "refinement/");
   std::string mode = "never";
@@ -109,6 +112,7 @@ MotionEstimationParameters readMotionEstimationParameters(const ros::NodeHandle&
 
   estimation.method = estimationMethodFromName(method);
   parameters.refinement.mode = refinementModeFromName(mode);
+  parameters.gate.verification.registration = parameters.refinement.mode != RefinementMode::NEVER;
   requireOption(target_shape == "isotropic" || target_shape == "bone", "target_shape", "'" + target_shape + "'",
                 "isotropic or bone");
   parameters.bone_shape = target_shape == "bone";

@@ -86,6 +86,10 @@ void MotionEstimationRos::start()
 {
   parameters_ = readMotionEstimationParameters(pnh_);
   gate_.emplace(nh_, parameters_.gate);
+  const PoseVerificationOptions& verification = parameters_.gate.verification;
+  ROS_WARN_STREAM_COND(verification.registration && verification.initial_pose_verified,
+                       "gate/initial_pose_verified counts for nothing while refinement/mode is not never: the "
+                       "registration has to confirm the initial pose");
   setup_ = loadTreatmentSetup(parameters_.setup_file);
   reference_ = setup_.room_from_patient;
   shape_ = std::async(parameters_.bone_shape ? std::launch::async : std::launch::deferred,
@@ -128,6 +132,7 @@ void MotionEstimationRos::trackedRegionCb(const TrackedRegion::ConstPtr& message
     first_arrival_ = views_[view].last_arrival;
   }
   setSilent(view, false);
+  first_heard_ = std::min(first_heard_.value_or(message->header.stamp), message->header.stamp);
   using Outcome = ExposureAssembler<TrackedRegion::ConstPtr>::Outcome;
   const ros::Time now = ros::Time::now();
   const Outcome outcome =
@@ -141,6 +146,7 @@ void MotionEstimationRos::trackedRegionCb(const TrackedRegion::ConstPtr& message
   {
     ROS_WARN_STREAM("exposures start again at " << stamp << ": forgetting the earlier ones");
     forget();
+    first_heard_ = stamp;
   }
 
   ++exposures_;
@@ -269,7 +275,6 @@ void MotionEstimationRos::tellGate(const PatientMotion& motion, const std::optio
     exposure.displacement = displacement(estimate->room_from_patient);
     exposure.rotation = rotationAngle(estimate->room_from_patient * setup_.room_from_patient.inverse());
     exposure.covariance = estimate->covariance.topLeftCorner<3, 3>();
-    exposure.doubt = start_doubt_;
     for (std::size_t i = 0; i < views_.size(); ++i)
     {
       if (views_[i].doubt.state == PatientMotion::OK && assembler_->exposure()[i]->state == TrackedRegion::DEGRADED)
@@ -300,11 +305,12 @@ void MotionEstimationRos::forget()
   first_unseen_.reset();
   predictor_->reset();
   refinement_->reset();
+  gate_->reset("exposures start again");
   // A bag that is played again begins with the patient where it began. A clock that was set, or old exposures that are
   // sent once more, find the patient anywhere, and the trackers learn their templates there.
-  start_doubt_ = ros::Time::isSimTime() ? ""
-                                        : "time went back: that the patient was at the initial pose again is not "
-                                          "confirmed by a refinement";
-  gate_->reset("exposures start again");
+  if (!ros::Time::isSimTime())
+  {
+    gate_->doubt("time went back: nothing has confirmed that the patient was at the initial pose again");
+  }
 }
 }  // namespace xray_tracking

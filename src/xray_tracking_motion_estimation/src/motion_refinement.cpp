@@ -44,7 +44,9 @@ void MotionEstimationRos::refinementCb(const ros::SteadyTimerEvent&)
   const std::int64_t now = steadyNanoseconds();
   if (refinement_->tick(now))
   {
-    ROS_WARN_STREAM("refinement: no answer within " << parameters_.refinement.timeout << " s");
+    const std::string why = "no answer within " + std::to_string(parameters_.refinement.timeout) + " s";
+    ROS_WARN_STREAM("refinement: " << why);
+    gate_->refused(why, false);
   }
   if (!refinement_->pending())
   {
@@ -65,6 +67,7 @@ void MotionEstimationRos::refinementCb(const ros::SteadyTimerEvent&)
     else
     {
       ROS_WARN_STREAM_THROTTLE(1.0, "refinement refused: " << refinement_->lastRefusal());
+      gate_->refused(refinement_->lastRefusal(), refinement_->lastRefusalContradicts());
     }
   }
   refinement_->next(now);
@@ -96,6 +99,10 @@ void MotionEstimationRos::considerRefinement(const PatientMotion& motion, const 
   {
     exposure.covariance = estimate->pose_covariance;
   }
+  if (gate_->gate().verification().due())
+  {
+    refinement_->demand();  // whatever the mode
+  }
   refinement_->onExposure(exposure, steadyNanoseconds());
 }
 
@@ -116,11 +123,11 @@ void MotionEstimationRos::accept(const Refinement& refinement)
   catch (const std::invalid_argument& error)
   {
     ROS_WARN_STREAM("refinement refused: " << error.what());
+    gate_->refused(error.what(), false);
     return;
   }
   reference_ = refinement.refined;
   reference_covariance_ = covariance;
-  start_doubt_.clear();
   consistency_->reset();
   rigid_consistency_->reset();
 
@@ -149,7 +156,8 @@ void MotionEstimationRos::accept(const Refinement& refinement)
       last_pose_ = { refinement.stamp, refinement.refined };
     }
   }
-  gate_->refined(refinement.stamp, correction, rotationAngle(last_pose_->second * setup_.room_from_patient.inverse()));
+  gate_->refined(refinement.stamp, correction, rotationAngle(last_pose_->second * setup_.room_from_patient.inverse()),
+                 refinement.tracked.has_value());
 
   // From here on tracks count from the refined exposure: what each view was wrong by until then is out of them.
   const auto tracked = std::find_if(tracked_views_.begin(), tracked_views_.end(),

@@ -173,11 +173,19 @@ std::optional<Refinement> RefinementPolicy::onReply(const RefinementReply& reply
   if (!pending_ || reply.id != pending_->id)
   {
     last_refusal_ = compose("the answer to request ", reply.id, " is for none under way");
+    last_refusal_contradicts_ = false;
     return std::nullopt;
   }
   const TrackedExposure exposure = pending_->exposure;
   pending_.reset();
-  std::string reason = fault(reply, exposure);
+  std::string reason = fault(reply);
+  last_refusal_contradicts_ = false;
+  // Where there is no tracked pose, the registration's own word has to do.
+  if (reason.empty() && exposure.measured)
+  {
+    reason = contradiction(reply, exposure);
+    last_refusal_contradicts_ = !reason.empty();
+  }
   if (!reason.empty())
   {
     ++refused_;
@@ -203,7 +211,7 @@ std::optional<Refinement> RefinementPolicy::onReply(const RefinementReply& reply
   return refinement;
 }
 
-std::string RefinementPolicy::fault(const RefinementReply& reply, const TrackedExposure& exposure) const
+std::string RefinementPolicy::fault(const RefinementReply& reply) const
 {
   if (!reply.success)
   {
@@ -219,11 +227,11 @@ std::string RefinementPolicy::fault(const RefinementReply& reply, const TrackedE
     return compose("the similarity is ", reply.similarity, ", expected at least ", options_.min_similarity,
                    " and the seed's ", reply.seed_similarity);
   }
-  if (!exposure.measured)
-  {
-    return std::string();  // There is nothing to compare it with.
-  }
+  return std::string();
+}
 
+std::string RefinementPolicy::contradiction(const RefinementReply& reply, const TrackedExposure& exposure) const
+{
   const Twist correction = targetMotion(exposure.room_from_patient, reply.room_from_patient, target_centre_);
   if (correction.tail<3>().norm() > options_.max_correction ||
       correction.head<3>().norm() > options_.max_correction_rotation)

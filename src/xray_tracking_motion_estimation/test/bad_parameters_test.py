@@ -9,6 +9,7 @@ import roslib.packages
 import rospy
 import rostest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from xray_tracking_msgs.msg import BeamGate
 
 TIMEOUT = 60.0  # s
 EXPECTED = {  # node: what the message has to name
@@ -19,6 +20,9 @@ EXPECTED = {  # node: what the message has to name
     'out_of_range': ['significance', '2', '(0, 1)'],
     'one_detector': ['detectors', 'two or more'],
     'no_topic_name': ['detector a'],
+    'no_time': ['gate/max_unverified_time', 'is 0', 'a number > 0 s'],
+    'no_exposure': ['gate/max_unverified_exposures', '0.5', '>= 1'],
+    'no_statement': ['/no_statement/gate/initial_pose_verified', 'perhaps', 'true or false'],
     'nodelet_missing_setup_file': ['/nowhere/setup.yaml'],
 }
 
@@ -37,17 +41,22 @@ class BadParametersTest(unittest.TestCase):
                         reports[name].append(status)
                 changed.notify_all()
 
+        gates = []
+        gate_subscriber = rospy.Subscriber('beam_gate', BeamGate, gates.append)
         subscriber = rospy.Subscriber('/diagnostics', DiagnosticArray, diagnostics_cb)
         # Three reports of each: alive well after the failure.
         with changed:
             complete = changed.wait_for(lambda: all(len(r) >= 3 for r in reports.values()), TIMEOUT)
         subscriber.unregister()
+        gate_subscriber.unregister()
         self.assertTrue(complete, {name: len(r) for name, r in reports.items()})
         for name, words in EXPECTED.items():
             for status in reports[name]:
                 self.assertEqual(status.level, DiagnosticStatus.ERROR)
                 for word in words:
                     self.assertIn(word, status.message)
+        self.assertTrue(gates)
+        self.assertEqual({gate.reason for gate in gates}, {BeamGate.NO_EXPOSURE})
 
     def test_a_misspelt_parameter_is_named(self):
         rospy.set_param('/misspelt/flor_sigma', 0.7)

@@ -14,6 +14,20 @@ constexpr std::int64_t kMillisecond = 1000000;
 constexpr std::int64_t kInterval = 33 * kMillisecond;
 constexpr std::int64_t kDelay = 20 * kMillisecond;
 
+BeamGateOptions statedOptions()
+{
+  BeamGateOptions options;
+  options.verification.initial_pose_verified = true;
+  return options;
+}
+
+BeamGateOptions registrationOptions()
+{
+  BeamGateOptions options;
+  options.verification.registration = true;
+  return options;
+}
+
 /// A gate with exposures of a target at rest, 33 ms apart, whose poses come 20 ms later. The monotonic clock has its
 /// own zero.
 class BeamGateTest : public testing::Test
@@ -60,7 +74,7 @@ protected:
 
   std::int64_t now() const { return stamp + kDelay - zero; }
 
-  BeamGateOptions options;
+  BeamGateOptions options = statedOptions();
   BeamGate gate{ options };
   std::int64_t stamp = 1700000000000000000;
   std::int64_t zero = 1699999990000000000;
@@ -273,13 +287,13 @@ TEST_F(JumpTest, IsConfirmedByARefinement)
   const std::int64_t jump = stamp;
   gate.update(there());
   // The answer about an exposure from before it says nothing of it.
-  EXPECT_FALSE(gate.refined(jump - kInterval, Eigen::Vector3d::Zero(), 0.0));
+  EXPECT_FALSE(gate.refined(jump - kInterval, Eigen::Vector3d::Zero(), 0.0, true));
   for (int i = 1; i <= options.good_exposures; ++i)
   {
     gate.update(there());
     EXPECT_EQ(gate.reason(), GateReason::JUMP);
   }
-  EXPECT_FALSE(gate.refined(jump, Eigen::Vector3d(0.2, 0.0, 0.0), 0.0));
+  EXPECT_FALSE(gate.refined(jump, Eigen::Vector3d(0.2, 0.0, 0.0), 0.0, true));
   EXPECT_FALSE(gate.open());
   for (int i = 1; i <= options.good_exposures; ++i)
   {
@@ -341,7 +355,7 @@ TEST_F(BeamGateTest, ARefinementMovesTheTargetWithoutAJump)
 {
   openIt();
   const Eigen::Vector3d correction(1.0, -2.0, 0.0);
-  EXPECT_FALSE(gate.refined(stamp, correction, 0.01));
+  EXPECT_FALSE(gate.refined(stamp, correction, 0.01, true));
   EXPECT_TRUE(gate.open());
   GateExposure exposure = good();
   exposure.displacement += correction - Eigen::Vector3d::UnitX();
@@ -352,11 +366,11 @@ TEST_F(BeamGateTest, ARefinementMovesTheTargetWithoutAJump)
 TEST_F(BeamGateTest, ARefinementThatPutsTheTargetOutsideClosesAtOnce)
 {
   openIt();
-  EXPECT_TRUE(gate.refined(stamp, Eigen::Vector3d(1.5, -2.0, 0.0), 0.0));  // from (1, 0, 0): 3.2 mm
+  EXPECT_TRUE(gate.refined(stamp, Eigen::Vector3d(1.5, -2.0, 0.0), 0.0, true));  // from (1, 0, 0): 3.2 mm
   EXPECT_EQ(gate.reason(), GateReason::DISPLACED);
-  gate.refined(stamp, Eigen::Vector3d(-1.5, 2.0, 0.0), 0.0);
+  gate.refined(stamp, Eigen::Vector3d(-1.5, 2.0, 0.0), 0.0, true);
   openIt();
-  EXPECT_TRUE(gate.refined(stamp, Eigen::Vector3d::Zero(), 2.0 * options.max_rotation));
+  EXPECT_TRUE(gate.refined(stamp, Eigen::Vector3d::Zero(), 2.0 * options.max_rotation, true));
   EXPECT_EQ(gate.reason(), GateReason::DISPLACED);
 }
 
@@ -369,6 +383,186 @@ TEST_F(BeamGateTest, StartsAgainWhenTimeDoes)
   stamp -= 100000 * kMillisecond;
   zero -= 100000 * kMillisecond;
   openIt();
+}
+
+// No registration, no statement: tracks alone never open it.
+TEST_F(BeamGateTest, StaysClosedWhileNothingVerifiesTheInitialPose)
+{
+  gate = BeamGate(BeamGateOptions());
+  for (int i = 0; i < 200; ++i)
+  {
+    gate.update(good());
+    EXPECT_EQ(gate.reason(), GateReason::UNVERIFIED);
+  }
+  EXPECT_NE(gate.text().find("initial_pose_verified"), std::string::npos) << gate.text();
+}
+
+// What is not verified does not hide what is worse; it does hide a place that is a guess.
+TEST_F(BeamGateTest, SaysWhatIsWorseThanUnverified)
+{
+  gate = BeamGate(BeamGateOptions());
+  GateExposure exposure = good();
+  exposure.fault = GateReason::INCONSISTENT;
+  gate.update(exposure);
+  EXPECT_EQ(gate.reason(), GateReason::INCONSISTENT);
+  exposure = good();
+  exposure.displacement.x() = 42.0;
+  gate.update(exposure);
+  EXPECT_EQ(gate.reason(), GateReason::UNVERIFIED);
+}
+
+class VerifiedByRegistrationTest : public BeamGateTest
+{
+protected:
+  VerifiedByRegistrationTest()
+  {
+    options = registrationOptions();
+    gate = BeamGate(options);
+  }
+
+  void confirm() { gate.refined(stamp, Eigen::Vector3d::Zero(), 0.0, true); }
+
+  /// Good exposures until `count` have come, the gate closed before each of them; open then.
+  void openAfter(int count)
+  {
+    for (int i = 0; i < count; ++i)
+    {
+      EXPECT_FALSE(gate.open());
+      gate.update(good());
+    }
+    EXPECT_TRUE(gate.open()) << gate.text();
+  }
+
+  /// Verified at the first exposure.
+  void openVerified()
+  {
+    gate.update(good());
+    confirm();
+    openAfter(options.good_exposures - 1);
+  }
+};
+
+TEST_F(VerifiedByRegistrationTest, OpensAfterARefinementAndGoodExposures)
+{
+  for (int i = 0; i < 100; ++i)
+  {
+    gate.update(good());
+    EXPECT_EQ(gate.reason(), GateReason::UNVERIFIED);
+    gate.refused("flat optimum", false);
+  }
+  EXPECT_NE(gate.text().find("100 refused"), std::string::npos) << gate.text();
+  EXPECT_NE(gate.text().find("flat optimum"), std::string::npos) << gate.text();
+  EXPECT_FALSE(gate.refined(stamp, Eigen::Vector3d::Zero(), 0.0, true)) << "after refusals it takes two";
+  EXPECT_TRUE(gate.refined(stamp, Eigen::Vector3d::Zero(), 0.0, true));
+  // Told at once, also if no further exposure comes.
+  EXPECT_EQ(gate.reason(), GateReason::CONFIRMING);
+  // They have been good otherwise all the time.
+  openAfter(1);
+}
+
+TEST_F(VerifiedByRegistrationTest, ExposuresThatWereBadOtherwiseDoNotCount)
+{
+  for (int i = 0; i < 10; ++i)
+  {
+    GateExposure bad = good();
+    bad.rotation = 2.0 * options.max_rotation;
+    gate.update(bad);
+    EXPECT_EQ(gate.reason(), GateReason::UNVERIFIED) << "which place is bad is a guess";
+  }
+  confirm();
+  openAfter(options.good_exposures);
+}
+
+TEST_F(VerifiedByRegistrationTest, ARefinementOfAnExposureWithoutAPoseVerifiesNothing)
+{
+  openVerified();
+  EXPECT_TRUE(gate.refined(stamp, Eigen::Vector3d::Zero(), 0.0, false));
+  EXPECT_EQ(gate.reason(), GateReason::UNVERIFIED);
+  gate.update(good());
+  EXPECT_EQ(gate.reason(), GateReason::UNVERIFIED);
+  confirm();
+  openAfter(options.good_exposures - 1);
+}
+
+TEST_F(VerifiedByRegistrationTest, ClosesOnceNothingHasConfirmedItForLong)
+{
+  gate.update(good());
+  confirm();
+  const std::int64_t confirmed = stamp;
+  openAfter(options.good_exposures - 1);
+  while (stamp - confirmed <= 2950 * kMillisecond)
+  {
+    gate.update(good());
+    gate.refused("flat optimum", false);
+    EXPECT_TRUE(gate.open()) << gate.text();
+  }
+  while (stamp - confirmed <= 3000 * kMillisecond)
+  {
+    EXPECT_TRUE(gate.open());
+    gate.update(good());
+  }
+  EXPECT_EQ(gate.reason(), GateReason::UNVERIFIED);
+  EXPECT_NE(gate.text().find("flat optimum"), std::string::npos) << gate.text();
+  confirm();
+  confirm();
+  openAfter(options.good_exposures);
+}
+
+TEST_F(VerifiedByRegistrationTest, ClosesAtOnceOnAContradiction)
+{
+  openVerified();
+  EXPECT_TRUE(gate.refused("the correction is 7 mm", true));
+  EXPECT_EQ(gate.reason(), GateReason::UNVERIFIED);
+  EXPECT_NE(gate.text().find("the correction is 7 mm"), std::string::npos) << gate.text();
+  for (int i = 0; i < 100; ++i)
+  {
+    gate.update(good());
+    EXPECT_EQ(gate.reason(), GateReason::UNVERIFIED);
+  }
+  // Each of them counts.
+  gate.refused("the correction is 7 mm", true);
+  confirm();
+  confirm();
+  openAfter(options.good_exposures);
+}
+
+TEST_F(VerifiedByRegistrationTest, ADoubtClosesAtOnce)
+{
+  openVerified();
+  EXPECT_TRUE(gate.doubt("the templates are of another time"));
+  EXPECT_EQ(gate.reason(), GateReason::UNVERIFIED);
+  EXPECT_NE(gate.text().find("the templates are of another time"), std::string::npos) << gate.text();
+}
+
+TEST_F(VerifiedByRegistrationTest, NothingIsVerifiedWhenTimeStartsAgain)
+{
+  openVerified();
+  gate.reset("time went back");
+  for (int i = 0; i < 10; ++i)
+  {
+    gate.update(good());
+    EXPECT_EQ(gate.reason(), GateReason::UNVERIFIED);
+  }
+}
+
+// 20 s between exposures, for which max_interval has to be set: each is registered, and one of three may be refused.
+TEST_F(VerifiedByRegistrationTest, HoldsOverExposuresThatAreFarApart)
+{
+  options.max_interval = 20.0;
+  gate = BeamGate(options);
+  for (int i = 0; i < 20; ++i)
+  {
+    gate.update(good(20000 * kMillisecond));
+    EXPECT_EQ(gate.open(), i + 1 >= options.good_exposures) << i << ' ' << gate.text();
+    if (i % 3 != 2)
+    {
+      confirm();
+    }
+    else
+    {
+      gate.refused("flat optimum", false);
+    }
+  }
 }
 
 TEST(BeamGateOptions, AreChecked)
@@ -395,6 +589,8 @@ TEST(BeamGateOptions, AreChecked)
   EXPECT_TRUE(refused([](auto& o) { o.max_speed = std::numeric_limits<double>::infinity(); }, "max_speed"));
   EXPECT_TRUE(refused([](auto& o) { o.good_exposures = 1; }, "good_exposures"));
   EXPECT_TRUE(refused([](auto& o) { o.jump_exposures = 2; }, "jump_exposures"));
+  EXPECT_TRUE(refused([](auto& o) { o.verification.max_unverified_time = 0.0; }, "max_unverified_time"));
+  EXPECT_TRUE(refused([](auto& o) { o.verification.max_unverified_exposures = 0.5; }, "max_unverified_exposures"));
 }
 }  // namespace
 }  // namespace xray_tracking

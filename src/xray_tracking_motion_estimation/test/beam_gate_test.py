@@ -42,6 +42,7 @@ class BeamGateTest(LiveTestCase):
             gates = list(self.graph.gates)
         for gate in gates:
             self.assertEqual(gate.open, gate.reason == BeamGate.NONE)
+            self.assertTrue(gate.verified or not gate.open)
             self.assertTrue(gate.text)
             numbers = [gate.displacement.x, gate.displacement.y, gate.displacement.z, gate.rotation]
             self.assertTrue(np.all(np.isfinite(numbers)), gate)
@@ -194,7 +195,7 @@ class BeamGateTest(LiveTestCase):
             rospy.sleep(0.05)
             answer, gate = self.live(STILL)
             self.assertEqual(answer.state, PatientMotion.OK, answer.reason)
-            self.expect_closed(gate, BeamGate.UNCERTAIN, 'time went back')
+            self.expect_closed(gate, BeamGate.UNVERIFIED, 'time went back')
 
     def test_prediction(self):
         """For the time that is asked for, beside the pose, never on tf, and better than the pose itself."""

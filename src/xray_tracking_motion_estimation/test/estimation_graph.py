@@ -218,6 +218,7 @@ class EstimationTestCase(unittest.TestCase):
     """A graph whose node has its geometry; exposures of exact tracks."""
 
     warm_up = 900000 * NANOSECONDS  # stamp of the first exposure
+    template_age = 0  # of the first templates then [ns]
 
     @classmethod
     def setUpClass(cls):
@@ -229,7 +230,7 @@ class EstimationTestCase(unittest.TestCase):
         for index in range(int(TIMEOUT / 0.1)):
             stamp = start + index * NANOSECONDS
             for detector, publisher in zip(graph.detectors, graph.regions):
-                publisher.publish(graph.region(detector, stamp, np.zeros(3), start, np.zeros(3)))
+                publisher.publish(graph.region(detector, stamp, np.zeros(3), start - cls.template_age, np.zeros(3)))
             graph.wait_for(lambda s=stamp: s in graph.motions, 'answer to the exposure at %d' % stamp)
             cls.states.append((graph.motions[stamp][0].state, graph.motions[stamp][0].reason))
             if cls.states[-1][0] == PatientMotion.OK:
@@ -282,7 +283,8 @@ class LiveTestCase(EstimationTestCase):
     @classmethod
     def setUpClass(cls):
         # Earlier than all that follows: time that goes back would keep the gate closed.
-        cls.warm_up = cls.reference = rospy.Time.now().to_nsec() - 1000 * NANOSECONDS
+        cls.warm_up = rospy.Time.now().to_nsec() - 1000 * NANOSECONDS
+        cls.reference = cls.warm_up - cls.template_age
         super().setUpClass()
 
     @classmethod

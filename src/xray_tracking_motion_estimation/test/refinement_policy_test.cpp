@@ -78,7 +78,9 @@ protected:
   }
 
   /// Asks, spoils the answer, and expects a refusal that names `what`.
-  void expectRefused(const std::string& what, const std::function<void(RefinementReply&)>& spoil)
+  /// @param contradicts it is the tracks that a believed pose contradicts
+  void expectRefused(const std::string& what, const std::function<void(RefinementReply&)>& spoil,
+                     bool contradicts = false)
   {
     options.mode = RefinementMode::EVERY_FRAME;
     RefinementPolicy policy = makePolicy();
@@ -88,6 +90,7 @@ protected:
     EXPECT_FALSE(policy.onReply(reply));
     EXPECT_NE(policy.lastRefusal().find(what), std::string::npos) << policy.lastRefusal();
     EXPECT_EQ(policy.refused(), 1u);
+    EXPECT_EQ(policy.lastRefusalContradicts(), contradicts);
     // The same answer unspoilt is good.
     policy.onExposure(exposureAt(moved(1.0)), now);
     EXPECT_TRUE(policy.onReply(answer(moved(1.1)))) << policy.lastRefusal();
@@ -239,9 +242,11 @@ TEST_F(RefinementTest, RefusesNumbersThatAreNone)
 
 TEST_F(RefinementTest, RefusesLargeCorrections)
 {
-  expectRefused("correction", [](RefinementReply& reply) { reply.room_from_patient = tracePose(moved(6.1)); });
-  expectRefused("correction",
-                [](RefinementReply& reply) { reply.room_from_patient = tracePose(moved(1.0, 0.0, 0.0, 0.08)); });
+  expectRefused(
+      "correction", [](RefinementReply& reply) { reply.room_from_patient = tracePose(moved(6.1)); }, true);
+  expectRefused(
+      "correction", [](RefinementReply& reply) { reply.room_from_patient = tracePose(moved(1.0, 0.0, 0.0, 0.08)); },
+      true);
 }
 
 TEST_F(RefinementTest, RefusesWhatIsNoBetterMatch)
@@ -310,6 +315,7 @@ TEST_F(RefinementTest, AnExposureWithoutAPoseIsRefinedFromTheLastOne)
   reply.text = "flat optimum";
   EXPECT_FALSE(policy.onReply(reply));
   EXPECT_EQ(policy.lastRefusal(), "flat optimum");
+  EXPECT_FALSE(policy.lastRefusalContradicts());
 }
 
 // Combined deviations: 0.22 mm and 0.0176 rad. chi-square of 6 degrees of freedom is 22.46 at 0.001, so that a single
@@ -317,14 +323,16 @@ TEST_F(RefinementTest, AnExposureWithoutAPoseIsRefinedFromTheLastOne)
 TEST_F(RefinementTest, RefusesWhatContradictsTheTracks)
 {
   // With 1 mm of tissue 4.74 * sqrt(0.05 + 1) = 4.86 mm.
-  expectRefused("contradicts", [](RefinementReply& reply) { reply.room_from_patient = tracePose(moved(5.9)); });
+  expectRefused(
+      "contradicts", [](RefinementReply& reply) { reply.room_from_patient = tracePose(moved(5.9)); }, true);
   {
     RefinementPolicy policy = makePolicy();
     policy.onExposure(exposureAt(moved(1.0)), now);
     EXPECT_TRUE(policy.onReply(answer(moved(5.8)))) << policy.lastRefusal();
   }
   tracked_variance = 0.04;
-  expectRefused("contradicts", [](RefinementReply& reply) { reply.room_from_patient = tracePose(moved(2.08)); });
+  expectRefused(
+      "contradicts", [](RefinementReply& reply) { reply.room_from_patient = tracePose(moved(2.08)); }, true);
   options.mode = RefinementMode::EVERY_FRAME;
   RefinementPolicy policy = makePolicy();
   policy.onExposure(exposureAt(moved(1.0)), now);

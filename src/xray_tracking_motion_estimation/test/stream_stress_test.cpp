@@ -87,6 +87,7 @@ TEST_P(StreamStress, NothingGrowsNothingStaleGateShutInDoubt)
 
   BeamGateOptions gate_options;
   gate_options.max_displacement = 11.0;  // deep breaths are over it
+  gate_options.verification.initial_pose_verified = true;
   BeamGate gate(gate_options);
   ExposureAssembler<Delivery> assembler(kViews, 100);
   PosePredictor predictor({}, traceTarget());

@@ -67,6 +67,7 @@ int evaluateBag(const po::variables_map& arguments)
   {
     evaluation.sequence = arguments["name"].as<std::string>();
   }
+  evaluation.gate = gateCounts(evaluation, record);
   writeEvaluation(evaluation, arguments["OUT_DIR"].as<std::string>());
   std::cout << formatTable(evaluation) << std::flush;
 
@@ -78,11 +79,17 @@ int evaluateBag(const po::variables_map& arguments)
   {
     std::cerr << unanswered << "\n";
   }
+  const bool verified = evaluation.gate->verified > 0;
+  if (!verified)
+  {
+    std::cerr << "nothing was verified, the poses may all be wrong: "
+              << (record.unverified.empty() ? "the bag has no beam_gate" : record.unverified) << "\n";
+  }
   // A run that registers is judged by that: an exposure that tracking lost and registration found is answered.
   const std::vector<FrameResult>& answers = evaluation.methods.back().frames;
   const bool all_answered = std::all_of(answers.begin(), answers.end(),
                                         [](const FrameResult& frame) { return frame.status == FrameStatus::OK; });
-  return problems.empty() && all_answered ? 0 : 1;
+  return problems.empty() && all_answered && verified ? 0 : 1;
 }
 }  // namespace
 }  // namespace xray_tracking
@@ -93,9 +100,9 @@ int main(int argc, char** argv)
   command_line.usage = "BAG OUT_DIR --setup SETUP.yaml [--sequence DIR] [--frames N] [--name NAME]";
   command_line.description =
       "Compares the recorded patient poses with the gold standard; writes tre.csv, poses.csv and summary.json, prints\n"
-      "the summary. Exit status 0 only if every exposure was answered and the target never lost: by the registration "
-      "if\n"
-      "the run had one, else by tracking.";
+      "the summary. Exit status 0 only if every exposure was answered, the target never lost (by the registration if "
+      "the\n"
+      "run had one, else by tracking), and the beam gate took the pose of some exposure for verified.";
   command_line.arguments = { "BAG", "OUT_DIR" };
   command_line.options.add_options()("setup", po::value<std::string>(), "setup file of a live run: the target box")(
       "sequence", po::value<std::string>(), "the folder that was played: target box, exposures, gold standard")(

@@ -1,5 +1,6 @@
 #include "xray_tracking_tools/tracking_record.h"
 
+#include <algorithm>
 #include <cstdio>
 #include <stdexcept>
 #include <utility>
@@ -9,6 +10,7 @@
 #include <rosbag/bag.h>
 #include <rosbag/view.h>
 #include <sensor_msgs/CameraInfo.h>
+#include <xray_tracking_msgs/BeamGate.h>
 
 #include "xray_tracking_conversions/conversions.h"
 
@@ -19,6 +21,7 @@ namespace
 constexpr const char* kTracking = "tracking";
 constexpr const char* kTrackingAndRegistration = "tracking_and_registration";
 
+using xray_tracking_msgs::BeamGate;
 using xray_tracking_msgs::PatientMotion;
 using xray_tracking_msgs::RefinedPose;
 using xray_tracking_msgs::RefinementResult;
@@ -39,12 +42,38 @@ void insertOnce(std::map<std::int64_t, T>& by_stamp, std::int64_t stamp_ns, cons
   }
 }
 
+void readGate(const BeamGate& gate, std::int64_t epoch_ns, TrackingRecord& record)
+{
+  const std::int64_t exposure_ns = nanosecondsFromTime(gate.exposure) - epoch_ns;
+  if (gate.verified)
+  {
+    record.verified.insert(exposure_ns);
+  }
+  if (gate.open)
+  {
+    record.gate_open.insert(exposure_ns);
+  }
+  if (gate.reason == BeamGate::UNVERIFIED)
+  {
+    record.unverified = gate.text;
+  }
+  else if (record.unverified.empty())
+  {
+    record.unverified = "beam_gate never had a pose to judge";
+  }
+}
+
 void readMessage(const rosbag::MessageInstance& instance, const std::string& topic, std::int64_t epoch_ns,
                  TrackingRecord& record)
 {
   std::int64_t stamp_ns = 0;
   try
   {
+    if (const auto gate = instance.instantiate<BeamGate>())
+    {
+      readGate(*gate, epoch_ns, record);
+      return;
+    }
     if (const auto motion = instance.instantiate<PatientMotion>())
     {
       stamp_ns = nanosecondsFromTime(motion->header.stamp) - epoch_ns;
@@ -188,7 +217,7 @@ TrackingRecord readTrackingRecord(const std::string& bag_path, std::int64_t epoc
                       {
                         const std::string name = connection->topic.substr(connection->topic.rfind('/') + 1);
                         return name == "patient_motion" || name == "patient_pose" || name == "refined_pose" ||
-                               name == "patient_ground_truth" || name == "camera_info";
+                               name == "patient_ground_truth" || name == "camera_info" || name == "beam_gate";
                       });
     for (const rosbag::MessageInstance& instance : view)
     {
@@ -253,6 +282,16 @@ Evaluation evaluateRecord(const TrackingRecord& record, const std::string& name,
   }
   addMethods(record, evaluation);
   return evaluation;
+}
+
+GateCounts gateCounts(const Evaluation& evaluation, const TrackingRecord& record)
+{
+  const auto count = [&](const std::set<std::int64_t>& exposures)
+  {
+    return static_cast<int>(std::count_if(evaluation.stamps_ns.begin(), evaluation.stamps_ns.end(),
+                                          [&](std::int64_t stamp) { return exposures.count(stamp) != 0; }));
+  };
+  return { count(record.verified), count(record.gate_open) };
 }
 
 std::vector<std::string> unansweredExposures(const Evaluation& evaluation, const TrackingRecord& record)

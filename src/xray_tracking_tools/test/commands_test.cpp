@@ -2,6 +2,7 @@
 
 #include <cmath>
 #include <cstdio>
+#include <functional>
 
 #include <gtest/gtest.h>
 
@@ -212,6 +213,57 @@ TEST(EvaluateBag, judgesARunThatRegistersByTheRegistration)
     EXPECT_EQ(last == RefinementResult::SUCCESS ? 0 : 1, result.status) << result.output;
     EXPECT_TRUE(contains(result.output, "frame 1 (51.0000 s) lost: the views disagree\n")) << result.output;
   }
+}
+
+TEST(EvaluateBag, saysThatNothingWasVerified)
+{
+  using xray_tracking_msgs::BeamGate;
+  const TemporaryFolder folder;
+  writeTestSequence(folder);
+  const auto evaluate = [&folder](const std::function<void(RecordedRun&)>& write)
+  {
+    RecordedRun recorded(folder.file("run.bag"));
+    for (int k = 0; k < 3; ++k)
+    {
+      recorded.motion(ros::Time(50 + k, 0), xray_tracking_msgs::PatientMotion::OK);
+      recorded.pose(ros::Time(50 + k, 0), 1, 2, 3);
+    }
+    write(recorded);
+    recorded.close();
+    return run("evaluate_bag " + folder.file("run.bag") + " " + folder.file("results") + " --setup " +
+               folder.file("sequence.yaml"));
+  };
+  CommandResult result = evaluate(
+      [](RecordedRun& recorded)
+      {
+        recorded.gate(ros::Time(50, 0), false, BeamGate::UNVERIFIED, "no registration has confirmed the initial pose");
+        recorded.gate(ros::Time(51, 0), false, BeamGate::NOT_MEASURED, "lost");
+        recorded.gate(ros::Time(52, 0), false, BeamGate::UNVERIFIED, "3 refused since, the last one: flat optimum");
+      });
+  EXPECT_EQ(1, result.status);
+  EXPECT_TRUE(contains(result.output, "beam gate: of 3 exposures 0 verified, open in 0\n")) << result.output;
+  EXPECT_TRUE(contains(result.output,
+                       "nothing was verified, the poses may all be wrong: 3 refused since, the last one: "
+                       "flat optimum\n"))
+      << result.output;
+  result =
+      evaluate([](RecordedRun& recorded) { recorded.gate(ros::Time(51, 0), false, BeamGate::NOT_MEASURED, "lost"); });
+  EXPECT_EQ(1, result.status);
+  EXPECT_TRUE(contains(result.output, "beam_gate never had a pose to judge\n")) << result.output;
+  result = evaluate([](RecordedRun&) {});
+  EXPECT_EQ(1, result.status);
+  EXPECT_TRUE(contains(result.output, "nothing was verified, the poses may all be wrong: the bag has no beam_gate\n"))
+      << result.output;
+  // A pose that is verified once the run is over is.
+  result = evaluate(
+      [](RecordedRun& recorded)
+      {
+        recorded.gate(ros::Time(51, 0), false, BeamGate::UNVERIFIED, "no registration has confirmed the initial pose");
+        recorded.gate(ros::Time(52, 0), false, BeamGate::UNVERIFIED, "no registration has confirmed the initial pose");
+        recorded.gate(ros::Time(52, 0), true, BeamGate::STALE, "the latest exposure is 2 s old");
+      });
+  EXPECT_EQ(0, result.status) << result.output;
+  EXPECT_TRUE(contains(result.output, "beam gate: of 3 exposures 1 verified, open in 0\n")) << result.output;
 }
 
 TEST(EvaluateBag, writesTheSequencesStampsAndTheFirstPose)

@@ -7,6 +7,7 @@
 #include <geometry_msgs/PoseWithCovarianceStamped.h>
 #include <rosbag/bag.h>
 #include <sensor_msgs/CameraInfo.h>
+#include <xray_tracking_msgs/BeamGate.h>
 #include <xray_tracking_msgs/PatientMotion.h>
 #include <xray_tracking_msgs/RefinedPose.h>
 
@@ -35,11 +36,23 @@ public:
     message.pose.pose = poseMessage(x, y, z);
     bag_.write("/patient_pose", stamp, message);
   }
+  void gate(const ros::Time& exposure, bool verified, int reason, const std::string& text = "")
+  {
+    xray_tracking_msgs::BeamGate message;
+    message.header.stamp = exposure + ros::Duration(0.02);
+    message.exposure = exposure;
+    message.reason = reason;
+    message.verified = verified;
+    message.open = reason == xray_tracking_msgs::BeamGate::NONE;
+    message.text = text;
+    bag_.write("/beam_gate", message.header.stamp, message);
+  }
   /// An exposure that was answered well.
   void answer(const ros::Time& stamp, double x, double y, double z)
   {
     motion(stamp, xray_tracking_msgs::PatientMotion::OK);
     pose(stamp, x, y, z);
+    gate(stamp, true, xray_tracking_msgs::BeamGate::NONE);
   }
   void refined(const ros::Time& stamp, const std::string& method, int status, double x, double y, double z)
   {

@@ -199,6 +199,11 @@ std::string formatTable(const Evaluation& evaluation)
     }
     table << '\n';
   }
+  if (evaluation.gate)
+  {
+    table << "beam gate: of " << evaluation.stamps_ns.size() << " exposures " << evaluation.gate->verified
+          << " verified, open in " << evaluation.gate->open << '\n';
+  }
   return table.str();
 }
 }  // namespace xray_tracking

@@ -192,7 +192,13 @@ void writeSummary(std::ostream& out, const Evaluation& evaluation, const std::ve
     writeMethod(out, summary);
     separator = ",\n    ";
   }
-  out << "\n  },\n  \"paired_t_test\": {";
+  out << "\n  },";
+  if (evaluation.gate)
+  {
+    out << "\n  \"gate\": {\"verified\": " << evaluation.gate->verified << ", \"open\": " << evaluation.gate->open
+        << "},";
+  }
+  out << "\n  \"paired_t_test\": {";
   separator = "\n    ";
   for (std::size_t a = 0; a < methods.size(); ++a)
   {

@@ -9,6 +9,8 @@
 #include <Eigen/Core>
 #include <boost/circular_buffer.hpp>
 
+#include "xray_tracking_motion_estimation/pose_verification.h"
+
 namespace xray_tracking
 {
 /// Why the beam is to be held; values as in xray_tracking_msgs/BeamGate.
@@ -20,10 +22,11 @@ enum class GateReason : std::uint8_t
   INCONSISTENT = 3,  ///< its views contradict each other
   STALE = 4,         ///< the latest exposure is too old
   BAD_STAMP = 5,     ///< it is stamped in the future, or no later than the one before
-  UNCERTAIN = 6,     ///< its covariance is over the bound, or there is a doubt about its pose
+  UNCERTAIN = 6,     ///< its covariance is over the bound, or a track is degraded
   DISPLACED = 7,     ///< the target is too far from where it should be, or turned too much
   JUMP = 8,          ///< the target moved faster than a body does, which nothing has confirmed so far
-  CONFIRMING = 9     ///< good, but not for long enough
+  CONFIRMING = 9,    ///< good, but not for long enough
+  UNVERIFIED = 10    ///< nothing has confirmed where the target is, or not for too long
 };
 
 /// As in the enumeration.
@@ -56,6 +59,8 @@ struct BeamGateOptions
   /// The same after a jump that no refinement has confirmed, >= good_exposures.
   int jump_exposures = 30;
 
+  PoseVerificationOptions verification;
+
   /// @throws std::invalid_argument naming the key, its value and what was expected
   void validate() const;
 };
@@ -71,7 +76,7 @@ struct GateExposure
   GateReason fault = GateReason::NOT_MEASURED;
   std::string text;
 
-  /// Why the pose that there is might be worse than its covariance says; empty if there is no such doubt.
+  /// Why this exposure's pose might be worse than its covariance says; empty if there is no such doubt.
   std::string doubt;
 
   Eigen::Vector3d displacement = Eigen::Vector3d::Zero();  ///< target's centre from its planned place, room axes [mm]
@@ -81,8 +86,8 @@ struct GateExposure
 
 /// Whether the beam is to be held, and why. Advice of research software, see docs/safety.md.
 ///
-/// Fails closed: open only while the latest exposure is young, has a pose and is within all bounds, and the ones before
-/// it were, too. No clock of its own: tick() has to be called often, so that silence closes it.
+/// Fails closed: open only while the latest exposure is young, has a pose that is verified and within all bounds, and the
+/// ones before it were, too. No clock of its own: tick() has to be called often, so that silence closes it.
 class BeamGate
 {
 public:
@@ -97,8 +102,17 @@ public:
   /// A refinement was accepted: what moved the target's displacement by `correction` [mm] is no motion. A jump up to
   /// the refined exposure is confirmed by it.
   /// @param stamp the refined exposure's [ns]; @param rotation of the target from its planned one by now [rad]
+  /// @param tracked that exposure had a pose for the refinement to agree with, which verifies it; otherwise the pose is
+  /// the registration's alone, which one of the next exposures has to verify
   /// @return true if reason() has changed
-  bool refined(std::int64_t stamp, const Eigen::Vector3d& correction, double rotation);
+  bool refined(std::int64_t stamp, const Eigen::Vector3d& correction, double rotation, bool tracked);
+
+  /// A refinement was not accepted, see PoseVerification. @return true if reason() has changed
+  bool refused(const std::string& why, bool contradicts);
+
+  /// The pose that all motion is counted from might be wrong: closed until a refinement is accepted.
+  /// @return true if reason() has changed
+  bool doubt(const std::string& why);
 
   /// Time starts again, or the reference is another: as at the start, but for the text.
   bool reset(const std::string& why);
@@ -106,6 +120,7 @@ public:
   bool open() const { return reason_ == GateReason::NONE; }
   GateReason reason() const { return reason_; }
   const std::string& text() const { return text_; }  ///< why, for people; never empty
+  const PoseVerification& verification() const { return verification_; }
 
   /// Of the latest exposure; zero if there is none.
   const Eigen::Vector3d& displacement() const { return displacement_; }
@@ -127,9 +142,12 @@ private:
   /// DISPLACED or NONE.
   Verdict judgePlace(const Eigen::Vector3d& displacement, double rotation) const;
   bool change(Verdict verdict);
+  /// After something about the verification has changed.
+  bool reviewVerification();
   std::int64_t interval() const;
 
   BeamGateOptions options_;
+  PoseVerification verification_;
   GateReason reason_ = GateReason::NO_EXPOSURE;
   std::string text_ = "no exposure so far";
 

@@ -18,10 +18,12 @@ public:
   ~BeamGateRos() { watchdog_.stop(); }
 
   void update(const GateExposure& exposure);
-  void refined(std::int64_t stamp, const Eigen::Vector3d& correction, double rotation)
+  void refined(std::int64_t stamp, const Eigen::Vector3d& correction, double rotation, bool tracked)
   {
-    logAndPublish(gate_.refined(stamp, correction, rotation));
+    logAndPublish(gate_.refined(stamp, correction, rotation, tracked));
   }
+  void refused(const std::string& why, bool contradicts) { logAndPublish(gate_.refused(why, contradicts)); }
+  void doubt(const std::string& why) { logAndPublish(gate_.doubt(why)); }
   void reset(const std::string& why) { logAndPublish(gate_.reset(why)); }
 
   const BeamGate& gate() const { return gate_; }

@@ -93,8 +93,8 @@ private:
   std::string checkGeometry();
   /// Doubts views whose reference exposure's pose is not known.
   void findReferences();
-  /// The patient was not seen from the first exposure on: it may have moved away from the initial pose.
-  void doubtStart(const ros::Time& from, const ros::Time& to);
+  /// Of the first templates' exposures: whether the patient was at the initial pose then.
+  void judgeStart(const ros::Time& first, const ros::Time& last);
   /// How a view tracked an exposure, with what it may have moved by between the views. @param offset of its stamp [ns]
   Track trackOf(std::size_t view, const TrackedRegion& region, std::int64_t offset) const;
   ViewMeasurement measure(std::size_t view) const;
@@ -141,8 +141,7 @@ private:
   std::optional<std::pair<std::int64_t, RigidTransform>> last_pose_;
   std::vector<std::optional<ViewMeasurement>> measurements_;
   std::optional<BeamGateRos> gate_;
-  /// Why the pose that all motion is counted from might be wrong, until it is refined; empty if there is no such doubt.
-  std::string start_doubt_;
+  std::optional<ros::Time> first_heard_;   ///< earliest exposure since the start
   std::optional<ros::Time> first_unseen_;  ///< first exposure that gave a view no template while nothing was measured
   std::optional<PosePredictor> predictor_;
   std::optional<RefinementPolicy> refinement_;

@@ -137,6 +137,8 @@ public:
 
   bool pending() const { return pending_.has_value(); }
   const std::string& lastRefusal() const { return last_refusal_; }
+  /// Whether that was of a pose that the registration believes and that is too far from the tracked one.
+  bool lastRefusalContradicts() const { return last_refusal_contradicts_; }
   std::size_t requests() const { return requests_; }
   std::size_t accepted() const { return accepted_; }
   std::size_t refused() const { return refused_; }    ///< answers without success, or that did not pass the checks
@@ -152,8 +154,10 @@ private:
     TrackedExposure exposure;
   };
   bool due(const TrackedExposure& exposure, std::int64_t now) const;
-  /// What is wrong with an answer; empty if nothing is.
-  std::string fault(const RefinementReply& reply, const TrackedExposure& exposure) const;
+  /// What is wrong with an answer by itself; empty if nothing is.
+  std::string fault(const RefinementReply& reply) const;
+  /// How it contradicts the tracked pose; empty if it does not.
+  std::string contradiction(const RefinementReply& reply, const TrackedExposure& exposure) const;
 
   RefinementPolicyOptions options_;
   Eigen::Vector3d target_centre_;
@@ -166,6 +170,7 @@ private:
   bool demanded_ = false;
   std::int64_t not_before_ = 0;  ///< monotonic clock, ON_DRIFT [ns]
   std::string last_refusal_;
+  bool last_refusal_contradicts_ = false;
   std::size_t requests_ = 0;
   std::size_t accepted_ = 0;
   std::size_t refused_ = 0;

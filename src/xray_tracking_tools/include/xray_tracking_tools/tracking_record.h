@@ -22,6 +22,9 @@ struct TrackingRecord
   std::map<std::int64_t, RigidTransform> poses;                           ///< `patient_pose`
   std::map<std::int64_t, xray_tracking_msgs::RefinedPose> refined_poses;  ///< `refined_pose`, all of one method
   std::map<std::int64_t, RigidTransform> ground_truth;                    ///< `patient_ground_truth`
+  std::set<std::int64_t> verified;                                        ///< exposures with `verified` on `beam_gate`
+  std::set<std::int64_t> gate_open;                                       ///< exposures with `open` on it
+  std::string unverified;  ///< why nothing is verified, as it said last; empty if there is no `beam_gate`
 };
 
 /// Reads a recorded bag; topics count by the last part of their name. Exposures are known from `patient_motion`,
@@ -41,6 +44,9 @@ Evaluation evaluateRecord(const TrackingRecord& record, const std::string& name,
 /// Judges a played sequence: exposures, gold standard and target box are the sequence's.
 /// @throws std::runtime_error if the record has an exposure that the sequence has not
 Evaluation evaluateRecord(const TrackingRecord& record, const std::string& name, const Sequence& sequence);
+
+/// What the gate said of the evaluation's exposures.
+GateCounts gateCounts(const Evaluation& evaluation, const TrackingRecord& record);
 
 /// One line for every exposure of the evaluation that is lost or failed: frame, stamp, status and the reason given.
 std::vector<std::string> unansweredExposures(const Evaluation& evaluation, const TrackingRecord& record);

@@ -56,6 +56,13 @@ struct MethodResult
   std::vector<FrameResult> frames;
 };
 
+/// What a run's beam gate said of the frames.
+struct GateCounts
+{
+  int verified = 0;  ///< the pose was verified: by a registration, or by who stated that the initial one is
+  int open = 0;      ///< the beam need not have been held
+};
+
 /// What an evaluation judges. Without a gold standard there are poses and times but no errors, and no `uncorrected`.
 struct Evaluation
 {
@@ -63,6 +70,7 @@ struct Evaluation
   std::vector<std::int64_t> stamps_ns;        ///< one for each frame
   std::vector<RigidTransform> gold_standard;  ///< room_from_patient, one for each frame; empty if it is not known
   Eigen::AlignedBox3d target_box;
+  std::optional<GateCounts> gate;     ///< if there was one
   std::vector<MethodResult> methods;  ///< without `uncorrected`, which follows from the gold standard, eq. (10)
 };
 
