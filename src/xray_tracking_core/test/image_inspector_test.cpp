@@ -206,6 +206,17 @@ TEST_F(ImageInspectorTest, repairsLettering)
   }
 }
 
+TEST_F(ImageInspectorTest, saturatedWindowsAreNoLetters)
+{
+  cv::Mat image = Scene().expose();
+  for (const int x : { 130, 190, 250 })
+  {
+    cv::circle(image, { x, 250 }, 15, cv::Scalar(65535), cv::FILLED);
+    cv::rectangle(image, cv::Rect(x, 290, 24, 40), cv::Scalar(65535), cv::FILLED);
+  }
+  EXPECT_LE(inspect(image).stuck, 1e-3);
+}
+
 TEST_F(ImageInspectorTest, smallThingsInThePatientAreNotStuck)
 {
   // Metal beads and wires of any width, seen through a detector's blur.

@@ -25,7 +25,7 @@ const std::string& ExposureCheck::look(const cv::Mat& image, std::int64_t stamp_
   if (const std::optional<std::int64_t> before = repeated_.add(image, stamp_ns); before && fault_.empty())
   {
     std::ostringstream text;
-    text << "the image is, bit for bit in every eighth row, that of " << std::fixed << std::setprecision(3)
+    text << "the image, or a good part of its rows, is bit for bit that of " << std::fixed << std::setprecision(3)
          << 1e-9 * static_cast<double>(*before) << ", under a new stamp: the panel or its driver repeats itself";
     fault_ = text.str();
   }
@@ -71,5 +71,6 @@ void ExposureCheck::reset()
 {
   repeated_.reset();
   repair_.clear();
+  field_.forget();
 }
 }  // namespace xray_tracking

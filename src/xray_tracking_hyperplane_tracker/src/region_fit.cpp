@@ -42,7 +42,7 @@ bool RegionFit::cover(const PixelMap& map)
     return false;
   }
   const float drift = static_cast<float>(kGroup * step_) * std::max(std::abs(map.xx - 1.f), std::abs(map.yx));
-  const int margin = 3 + static_cast<int>(std::min(drift, kFarthest));
+  const int margin = 4 + static_cast<int>(std::min(drift, kFarthest));
   const cv::Rect part(cv::Point(static_cast<int>(std::floor(seen.min().x())) - margin,
                                 static_cast<int>(std::floor(seen.min().y())) - margin),
                       cv::Point(static_cast<int>(std::ceil(seen.max().x())) + margin,

@@ -68,17 +68,21 @@ BeamGate::BeamGate(const BeamGateOptions& options)
 
 std::int64_t BeamGate::interval() const
 {
-  const auto longest = static_cast<std::int64_t>(1e9 * options_.max_interval);
+  return std::min(usualInterval(), static_cast<std::int64_t>(1e9 * options_.max_interval));
+}
+
+std::int64_t BeamGate::usualInterval() const
+{
   if (intervals_.empty())
   {
-    return longest;
+    return static_cast<std::int64_t>(1e9 * options_.max_interval);
   }
   std::array<std::int64_t, kIntervals> sorted{};
   const auto end = std::copy(intervals_.begin(), intervals_.end(), sorted.begin());
   // The lower one of two middles: rather too strict.
   const auto middle = sorted.begin() + (intervals_.size() - 1) / 2;
   std::nth_element(sorted.begin(), middle, end);
-  return std::min(*middle, longest);
+  return *middle;
 }
 
 std::int64_t BeamGate::maxAge() const
@@ -173,7 +177,7 @@ bool BeamGate::update(const GateExposure& exposure)
   }
   last_stamp_ = exposure.stamp;
   last_exposed_ = exposure.arrival - exposure.delay;
-  verification_.update(exposure.stamp, interval());
+  verification_.update(exposure.stamp, usualInterval());
 
   const Verdict verdict = judge(exposure);
   const bool measured = exposure.fault == GateReason::NONE && verdict.reason != GateReason::NOT_MEASURED;

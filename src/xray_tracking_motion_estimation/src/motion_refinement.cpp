@@ -23,7 +23,8 @@ void MotionEstimationRos::startRefinement()
 {
   refinement_client_.emplace(nh_, parameters_.refinement.timeout);
   refinement_.emplace(parameters_.refinement, setup_.targetCentre(),
-                      [this](const RefinementRequest& request) { return refinement_client_->request(request); });
+                      [this](const RefinementRequest& request)
+                      { return refinement_client_->request(request, !gate_->gate().verification().verified()); });
   if (parameters_.refinement.mode != RefinementMode::NEVER)
   {
     tracked_views_.set_capacity(kTracksCapacity);

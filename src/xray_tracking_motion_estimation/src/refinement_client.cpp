@@ -22,14 +22,14 @@ RefinementReply failure(const RefinementRequest& request, const std::string& tex
 }
 }  // namespace
 
-bool RefinementClient::request(const RefinementRequest& request)
+bool RefinementClient::request(const RefinementRequest& request, bool unverified)
 {
   if (reply_.valid())
   {
     return false;
   }
   cancelled_ = false;
-  reply_ = std::async(std::launch::async, [this, request] { return call(request); });
+  reply_ = std::async(std::launch::async, [this, request, unverified] { return call(request, unverified); });
   return true;
 }
 
@@ -49,7 +49,7 @@ void RefinementClient::cancel()
   client_.shutdown();
 }
 
-RefinementReply RefinementClient::call(const RefinementRequest& request)
+RefinementReply RefinementClient::call(const RefinementRequest& request, bool unverified)
 {
   try
   {
@@ -71,6 +71,7 @@ RefinementReply RefinementClient::call(const RefinementRequest& request)
     message.request.request.seed = poseMsgFromRigid(request.room_from_patient);
     message.request.request.stamp = timeFromNanoseconds(request.stamp);
     message.request.request.time_budget = time_budget_;
+    message.request.request.unverified = static_cast<std::uint8_t>(unverified);
     if (!client.call(message))
     {
       return failure(request, "the call of " + nh_.resolveName(kService) + " failed or was broken off");

@@ -84,7 +84,6 @@ RefinementPolicy::RefinementPolicy(const RefinementPolicyOptions& options, const
 
 void RefinementPolicy::onExposure(const TrackedExposure& exposure, std::int64_t now)
 {
-  tick(now);
   if (!anchor_)
   {
     anchor_ = exposure.room_from_patient;

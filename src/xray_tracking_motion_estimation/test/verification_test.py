@@ -60,6 +60,7 @@ class VerificationTest(LiveTestCase):
         self.expect_unverified(40, 'no registration has confirmed the initial pose', 'the probability is 0.4')
         self.stand_in.alter = lambda result: None
         self.expose_until(lambda gate: gate.open, 'open')
+        self.assertTrue(self.stand_in.requests[0].unverified)
 
     def test_2_stays_open_as_it_is_asked_in_time(self):
         self.expose_until(lambda gate: gate.open, 'open')
@@ -74,6 +75,7 @@ class VerificationTest(LiveTestCase):
         # Once half of the time is over, not at every exposure.
         self.assertGreaterEqual(asked, 4)
         self.assertLess(asked, number / 3)
+        self.assertFalse(self.stand_in.requests[-1].unverified)
 
     def test_3_closes_once_it_has_been_doubted_for_long(self):
         self.expose_until(lambda gate: gate.open, 'open')

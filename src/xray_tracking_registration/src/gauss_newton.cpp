@@ -24,12 +24,13 @@ constexpr double kSaturationInformation = 4.0;
 /// Standard deviation of what counts, from the median size, which a few hundred pixels tell within some per cent.
 float robustDeviation(const Eigen::VectorXf& residual, const Eigen::VectorXf& valid)
 {
-  const Eigen::Index step = std::max<Eigen::Index>(1, residual.size() / kMedianOf);
+  const Eigen::Index step = std::max<Eigen::Index>(1, (valid.array() > 0.0f).count() / kMedianOf);
   std::vector<float> sizes;
-  sizes.reserve(residual.size() / step + 1);
-  for (Eigen::Index n = 0; n < residual.size(); n += step)
+  sizes.reserve(2 * kMedianOf);
+  Eigen::Index counted = 0;
+  for (Eigen::Index n = 0; n < residual.size(); ++n)
   {
-    if (valid[n] > 0.0f)
+    if (valid[n] > 0.0f && counted++ % step == 0)
     {
       sizes.push_back(std::abs(residual[n]));
     }

@@ -170,7 +170,8 @@ RegistrationRos::RefinementResult RegistrationRos::refineRequest(const Refinemen
     RegistrationRequest request = requestFor(exposure, searchOf(message), kept ? usable_pixels_ : own, progress);
     applyRequest(message, request);
     return run(*registration, request,
-               kept ? std::optional<ros::Time>(exposure.images.front()->header.stamp) : std::nullopt);
+               kept ? std::optional<ros::Time>(exposure.images.front()->header.stamp) : std::nullopt,
+               message.unverified != 0);
   }
   catch (const std::exception& error)
   {

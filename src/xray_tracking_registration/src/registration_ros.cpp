@@ -286,7 +286,7 @@ RegistrationRos::RefinementResult RegistrationRos::refineExposure(const Exposure
     RegistrationRequest request =
         requestFor(due.exposure, Search::NEAR, usable_pixels_, [this](const RegistrationProgress&) { return !stop_; });
     request.room_from_patient = accepted_pose_;
-    const RefinementResult result = run(*registration, request, due.stamp);
+    const RefinementResult result = run(*registration, request, due.stamp, false);
     if (result.status == RefinementResult::SUCCESS)
     {
       accepted_pose_ = rigidFromPoseMsg(result.pose.pose);
@@ -328,10 +328,10 @@ RegistrationRequest RegistrationRos::requestFor(const StoredExposure& exposure, 
 }
 
 RegistrationRos::RefinementResult RegistrationRos::run(const Registration& registration, RegistrationRequest request,
-                                                       const std::optional<ros::Time>& stamp)
+                                                       const std::optional<ros::Time>& stamp, bool unverified)
 {
   const Eigen::Vector3d centre = setup_.targetCentre();
-  if (stamp && believed_pose_)
+  if (stamp && believed_pose_ && !unverified)
   {
     // As doubles: what lies too far apart for a ros::Duration is to be no error.
     const double since = stamp->toSec() - believed_pose_->stamp.toSec();

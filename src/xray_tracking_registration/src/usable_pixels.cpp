@@ -22,7 +22,7 @@ void UsablePixels::apply(std::int64_t stamp_ns, RegistrationRequest& request)
     if (before && *before < stamp_ns)
     {
       throw std::invalid_argument(message("view ", view.geometry.name(),
-                                          ": the image is, bit for bit in every eighth row, that of ",
+                                          ": the image, or a good part of its rows, is bit for bit that of ",
                                           1e-9 * static_cast<double>(stamp_ns - *before), " s before"));
     }
     if (detector.inspected != view.image.size())

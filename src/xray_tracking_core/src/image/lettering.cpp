@@ -10,7 +10,7 @@ namespace xray_tracking
 {
 namespace
 {
-constexpr int kStroke = 7;  // widest [px]
+constexpr int kStroke = 7;  // widest [px]; odd, as an opening by an even size moves what it leaves
 // A letter: larger than stuck clusters, smaller than lines.
 constexpr int kLeastArea = 12;
 constexpr int kLeastEdge = 5;
@@ -29,7 +29,7 @@ void Lettering::mark(const cv::Mat& image, const cv::Rect& part, std::uint8_t br
     return;
   }
   cv::compare(strokes_, 0, strokes_, cv::CMP_NE);
-  cv::morphologyEx(strokes_, wide_, cv::MORPH_OPEN, cv::Mat::ones(kStroke + 1, kStroke + 1, CV_8U));
+  cv::morphologyEx(strokes_, wide_, cv::MORPH_OPEN, cv::Mat::ones(kStroke + 2, kStroke + 2, CV_8U));
   double end = 0.0;
   cv::minMaxLoc(image(part), nullptr, &end, nullptr, nullptr, strokes_);
   image(part).convertTo(dim_, CV_32F);

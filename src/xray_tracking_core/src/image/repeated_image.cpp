@@ -19,7 +19,7 @@ std::uint64_t mixed(std::uint64_t x)
 
 constexpr int kEvery = 8;          // rows
 constexpr int kLeastSteps = 32;    // of a row that noise tells from others
-constexpr std::size_t kShare = 4;  // of its rows
+constexpr double kShare = 0.4;  // of its rows; a burnt-in clock and a few lines of text have less
 
 /// Four sums side by side, as one has to wait for its last multiplication. Each step is a bijection of the sum.
 struct Sums
@@ -109,7 +109,7 @@ std::optional<std::int64_t> RepeatedImageCheck::add(const cv::Mat& image, std::i
     {
       same += rows[n] != 0 && rows[n] == before[n];
     }
-    return whole == whole_[image_before] || (same > 0 && kShare * same >= lively);
+    return whole == whole_[image_before] || (same > 0 && static_cast<double>(same) >= kShare * static_cast<double>(lively));
   };
   for (std::size_t n = 0; n < stamps_.size(); ++n)
   {

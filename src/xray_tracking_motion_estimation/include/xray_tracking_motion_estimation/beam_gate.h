@@ -145,6 +145,8 @@ private:
   /// After something about the verification has changed.
   bool reviewVerification();
   std::int64_t interval() const;
+  /// However long it is.
+  std::int64_t usualInterval() const;
 
   BeamGateOptions options_;
   PoseVerification verification_;

@@ -21,7 +21,8 @@ public:
   ~RefinementClient() { cancel(); }
 
   /// @return false if an earlier request is still under way
-  bool request(const RefinementRequest& request);
+  /// @param unverified nothing has confirmed the pose to start from
+  bool request(const RefinementRequest& request, bool unverified);
 
   /// The answer to the request, once; a failure if there is no such service or it broke off.
   std::optional<RefinementReply> takeReply();
@@ -30,7 +31,7 @@ public:
   void cancel();
 
 private:
-  RefinementReply call(const RefinementRequest& request);
+  RefinementReply call(const RefinementRequest& request, bool unverified);
 
   ros::NodeHandle nh_;
   double time_budget_;

@@ -96,8 +96,9 @@ private:
   RegistrationRequest requestFor(const StoredExposure& exposure, Search search, UsablePixels& usable,
                                  const Progress& progress) const;
   /// @param stamp of the kept exposure; nothing for images that a request brings along
+  /// @param unverified who asks has nothing that confirms the start
   RefinementResult run(const Registration& registration, RegistrationRequest request,
-                       const std::optional<ros::Time>& stamp);
+                       const std::optional<ros::Time>& stamp, bool unverified);
 
   /// Takes the place of the one request; @return false if there is one already
   bool claim(Job job);
