@@ -18,26 +18,11 @@ struct PixelMap
 void sampleBilinear(const std::uint16_t* pixels, std::size_t row_length, const float* x, const float* y,
                     std::ptrdiff_t count, const PixelMap& map, float* values);
 
-/// An image whose columns are in an order in which those are next to each other that are `step` pixels apart.
-struct SplineSource
-{
-  const float* values;
-  std::ptrdiff_t row;          ///< distance of rows [values]
-  const std::int32_t* column;  ///< where a column of the image begins
-  int step;
-};
-
-/// Points in a row, `step` pixels from each other, that sampleSpline() takes at once.
-constexpr int kGroup = 8;
-
 /// Samples by the cubic B-spline's kernel: values of the image blurred by it, by as much wherever the points lie
 /// between the pixels. (Bilinear samples are blurred by what depends on that, which moves what is measured by them.)
-/// @param x, y of every group's first point; @param count of groups
-/// @param map of points to the source; all points have to be a pixel farther from its border than for bilinear samples,
-///        and so far more as a group's points move against each other
-/// @param values of the groups' points, one group after the other
-void sampleSpline(const SplineSource& source, const float* x, const float* y, std::ptrdiff_t count, const PixelMap& map,
-                  float* values);
+/// Points have to be a pixel farther from the border than for bilinear samples.
+void sampleSpline(const std::uint16_t* pixels, std::size_t row_length, const float* x, const float* y,
+                  std::ptrdiff_t count, const PixelMap& map, float* values);
 
 /// Weights of the pixels from one left of the place to two right of it. @param part of a pixel from the second one,
 /// 0..1
@@ -48,8 +33,4 @@ void attenuate(float* values, std::ptrdiff_t count, float offset);
 
 /// sum a_i b_i
 float dot(const float* a, const float* b, std::ptrdiff_t count);
-
-/// Of columns that lie one after the other: sum a_i b_i for each. @param columns_number how many; @param count of
-/// values in one
-void dots(const float* columns, std::ptrdiff_t columns_number, const float* b, std::ptrdiff_t count, float* sums);
 }  // namespace xray_tracking

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <iterator>
 #include <limits>
 #include <vector>
 
@@ -18,9 +17,6 @@ constexpr int kBlock = 16;
 constexpr int kBlockStep = 8;
 /// Below, structure counts as such [cycles / px].
 constexpr double kSlow = 0.17;
-/// Widest blur of a detector, a Gaussian's standard deviation [px]. What falls faster towards high frequencies than
-/// noise behind it does is structure. (Intensifiers' noise falls as behind 0.9 to 1 px.)
-constexpr double kWidestBlur = 1.5;
 /// Of |N(0, 1)|.
 constexpr double kMedian = 0.6745;
 /// Share of an image's pixels at its greatest or smallest value that makes a plateau.
@@ -97,17 +93,11 @@ NoiseSpectrum::NoiseSpectrum(const cv::Mat& values, const cv::Mat& usable, doubl
     power_.fill(least);
     return;
   }
-  for (std::size_t band = static_cast<std::size_t>(first - power_.begin()) + 1; band < power_.size(); ++band)
+  std::fill(power_.begin(), first, *first);
+  for (std::size_t band = 1; band < power_.size(); ++band)
   {
     power_[band] = power_[band] >= 0.0 ? power_[band] : power_[band - 1];
   }
-  for (auto faster = std::prev(power_.end()); faster != first; --faster)
-  {
-    const double f = kBandWidth * static_cast<double>(faster - power_.begin());
-    const double fall = std::exp(std::pow(2.0 * M_PI * kWidestBlur, 2) * (f * f - std::pow(f - kBandWidth, 2)));
-    *std::prev(faster) = std::min(*std::prev(faster), fall * *faster);
-  }
-  std::fill(power_.begin(), first, *first);
 }
 
 double NoiseSpectrum::power(double f) const

@@ -21,7 +21,7 @@ public:
   /// Estimates the spectrum from an image with structure: the median, over blocks of 16 px, of the squared coefficients
   /// of their cosine transforms (Ponomarenko et al. 2007), as edges are in few of them. Structure without gaps cannot
   /// be told from noise; it is slow, so below 0.17 cycles a pixel the power is taken to be that there: detectors, which
-  /// blur noise as all else, make it flat. Nor does noise fall faster with the frequency than behind a blur of 1.5 px.
+  /// blur noise as all else, make it flat.
   /// @param values CV_32FC1; @param usable CV_8UC1, 0: a pixel that tells nothing of noise, saturated for one; blocks
   ///        with such pixels are left out. A block's zero coefficients, of quantised flatness, are as well
   /// @param least power that there is at least, the quantisation's

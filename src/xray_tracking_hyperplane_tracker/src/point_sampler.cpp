@@ -11,8 +11,50 @@ namespace xray_tracking
 {
 namespace
 {
-int sampleClamped(const cv::Mat& image, const Points& points, const PixelMap& m, Eigen::Ref<Eigen::ArrayXf> values,
-                  Eigen::Ref<Eigen::ArrayXf> outside)
+/// Weights along one axis: of pixels around a place, those outside the image are its border's.
+class Taps
+{
+public:
+  Taps(Sampling sampling, float place, int last)
+  {
+    const int before = std::min(static_cast<int>(place), last - 1);
+    const float part = place - static_cast<float>(before);
+    count_ = sampling == Sampling::SPLINE ? 4 : 2;
+    if (sampling == Sampling::SPLINE)
+    {
+      splineWeights(part, weights_);
+    }
+    else
+    {
+      weights_[0] = 1.f - part;
+      weights_[1] = part;
+    }
+    for (int i = 0; i < count_; ++i)
+    {
+      pixels_[i] = std::clamp(before + i - (count_ / 2 - 1), 0, last);
+    }
+  }
+  /// @param value of a pixel along the axis
+  template <typename Value>
+  float sum(const Value& value) const
+  {
+    float sum = 0.f;
+    for (int i = 0; i < count_; ++i)
+    {
+      sum += weights_[i] * value(pixels_[i]);
+    }
+    return sum;
+  }
+
+private:
+  int count_;
+  float weights_[4];
+  int pixels_[4];
+};
+
+template <typename Pixel>
+int sampleClamped(const cv::Mat& image, Sampling sampling, const Points& points, const PixelMap& m,
+                  Eigen::Ref<Eigen::ArrayXf> values, Eigen::Ref<Eigen::ArrayXf> outside)
 {
   const int last_column = image.cols - 1;
   const int last_row = image.rows - 1;
@@ -26,30 +68,30 @@ int sampleClamped(const cv::Mat& image, const Points& points, const PixelMap& m,
     const bool is_outside = inside_x != x || inside_y != y;
     outside[i] = is_outside ? 1.f : 0.f;
     count += is_outside;
-    const int left = std::min(static_cast<int>(inside_x), last_column - 1);
-    const int top = std::min(static_cast<int>(inside_y), last_row - 1);
-    const float u = inside_x - static_cast<float>(left), v = inside_y - static_cast<float>(top);
-    const auto row = [&](int y)
-    {
-      const std::uint16_t* p = image.ptr<std::uint16_t>(y) + left;
-      return p[0] + u * static_cast<float>(p[1] - p[0]);
-    };
-    values[i] = (1.f - v) * row(top) + v * row(top + 1);
+    const Taps columns(sampling, inside_x, last_column);
+    values[i] = Taps(sampling, inside_y, last_row)
+                    .sum(
+                        [&](int row)
+                        {
+                          const Pixel* pixels = image.ptr<Pixel>(row);
+                          return columns.sum([pixels](int column) { return static_cast<float>(pixels[column]); });
+                        });
   }
   return count;
 }
 
 /// Whether every point in the box is mapped inside the image, so far that all pixels around it are.
-bool isInside(const cv::Mat& image, const Box& box, const PixelMap& m)
+bool isInside(const cv::Mat& image, Sampling sampling, const Box& box, const PixelMap& m)
 {
-  constexpr float kMargin = 5e-4f;  // for what rounding makes of other points
+  // Half a thousandth of a pixel for what rounding makes of other points.
+  const float margin = (sampling == Sampling::SPLINE ? 1.f : 0.f) + 5e-4f;
   for (const auto corner : { Box::BottomLeft, Box::BottomRight, Box::TopLeft, Box::TopRight })
   {
     const Eigen::Vector2f p = box.corner(corner);
     const float x = m.xx * p.x() + m.xy * p.y() + m.x0;
     const float y = m.yx * p.x() + m.yy * p.y() + m.y0;
-    if (!(x >= kMargin && y >= kMargin && x < static_cast<float>(image.cols - 1) - kMargin &&
-          y < static_cast<float>(image.rows - 1) - kMargin))
+    if (!(x >= margin && y >= margin && x < static_cast<float>(image.cols - 1) - margin &&
+          y < static_cast<float>(image.rows - 1) - margin))
     {
       return false;
     }
@@ -68,24 +110,40 @@ void checkImage(const cv::Mat& image)
   }
 }
 
-int samplePoints(const cv::Mat& image, const IntensityModel& intensity, const Points& points, const Box& box,
-                 const PixelMap& map, Eigen::Ref<Eigen::ArrayXf> values, Eigen::Ref<Eigen::ArrayXf> outside)
+int samplePoints(const cv::Mat& image, Sampling sampling, const IntensityModel& intensity, const Points& points,
+                 const Box& box, const PixelMap& map, Eigen::Ref<Eigen::ArrayXf> values,
+                 Eigen::Ref<Eigen::ArrayXf> outside)
 {
   int count = 0;
-  if (isInside(image, box, map))
+  if (image.type() == CV_8UC1)
   {
-    sampleBilinear(image.ptr<std::uint16_t>(), image.step1(), points.data(), points.data() + points.rows(),
-                   points.rows(), map, values.data());
+    count = sampleClamped<std::uint8_t>(image, sampling, points, map, values, outside);
+  }
+  else if (isInside(image, sampling, box, map))
+  {
+    const auto sample = sampling == Sampling::SPLINE ? sampleSpline : sampleBilinear;
+    sample(image.ptr<std::uint16_t>(), image.step1(), points.data(), points.data() + points.rows(), points.rows(), map,
+           values.data());
   }
   else
   {
-    count = sampleClamped(image, points, map, values, outside);
+    count = sampleClamped<std::uint16_t>(image, sampling, points, map, values, outside);
   }
   if (intensity.kind == IntensityModel::Kind::COUNTS)
   {
     attenuate(values.data(), values.size(), static_cast<float>(intensity.offset));
   }
   return count;
+}
+
+cv::Mat splineFiltered(const cv::Mat& image)
+{
+  float weights[4];
+  splineWeights(0.f, weights);  // the last one is zero
+  const cv::Mat kernel(3, 1, CV_32F, weights);
+  cv::Mat filtered;
+  cv::sepFilter2D(image, filtered, CV_32F, kernel, kernel, cv::Point(-1, -1), 0.0, cv::BORDER_REPLICATE);
+  return filtered;
 }
 
 cv::Mat attenuationImage(const cv::Mat& image, const IntensityModel& intensity)

@@ -14,80 +14,7 @@ constexpr float kOutlier = 2.f;
 /// A tile's mean this many times the median of all means away from the middle is far.
 constexpr float kFarMean = 4.f;
 constexpr int kReweightings = 6;
-/// How much farther than a map the image is taken in: steps are no longer than that [px].
-constexpr int kFurther = 4;
 }  // namespace
-
-void RegionFit::look(const cv::Mat& image)
-{
-  image_ = image;
-  spline_image_.clear();
-}
-
-bool RegionFit::cover(const PixelMap& map)
-{
-  // Groups reach as far beyond the points as they are filled up.
-  Box box = box_;
-  box.max().x() += static_cast<float>((kGroup - 1) * step_);
-  Box seen;
-  for (const auto corner : { Box::BottomLeft, Box::BottomRight, Box::TopLeft, Box::TopRight })
-  {
-    const Eigen::Vector2f p = box.corner(corner);
-    seen.extend(Eigen::Vector2f(map.xx * p.x() + map.xy * p.y() + map.x0, map.yx * p.x() + map.yy * p.y() + map.y0));
-  }
-  constexpr float kFarthest = 1e6f;
-  // Written so that NaN is far, too.
-  if (!(seen.min().minCoeff() > -kFarthest && seen.max().maxCoeff() < kFarthest))
-  {
-    return false;
-  }
-  const float drift = static_cast<float>(kGroup * step_) * std::max(std::abs(map.xx - 1.f), std::abs(map.yx));
-  const int margin = 4 + static_cast<int>(std::min(drift, kFarthest));
-  const cv::Rect part(cv::Point(static_cast<int>(std::floor(seen.min().x())) - margin,
-                                static_cast<int>(std::floor(seen.min().y())) - margin),
-                      cv::Point(static_cast<int>(std::ceil(seen.max().x())) + margin,
-                                static_cast<int>(std::ceil(seen.max().y())) + margin));
-  if ((part & spline_image_.part()) == part)
-  {
-    return true;
-  }
-  return spline_image_.update(
-      image_, cv::Rect(part.x - kFurther, part.y - kFurther, part.width + 2 * kFurther, part.height + 2 * kFurther));
-}
-
-double RegionFit::weighOutside(const PixelMap& map)
-{
-  const auto is_outside = [&](float x, float y)
-  {
-    const float column = map.xx * x + map.xy * y + map.x0;
-    const float row = map.yx * x + map.yy * y + map.y0;
-    return !(column >= 0.f && row >= 0.f && column <= static_cast<float>(image_.cols - 1) &&
-             row <= static_cast<float>(image_.rows - 1));
-  };
-  const auto all = { Box::BottomLeft, Box::BottomRight, Box::TopLeft, Box::TopRight };
-  if (std::none_of(all.begin(), all.end(),
-                   [&](auto corner) { return is_outside(box_.corner(corner).x(), box_.corner(corner).y()); }))
-  {
-    return 1.0;
-  }
-  Eigen::Index outside = 0, count = 0;
-  for (std::size_t t = 0; t < tiles_.size(); ++t)
-  {
-    const Tile& tile = tiles_[t];
-    Eigen::Index of_tile = 0;
-    for (Eigen::Index row = 0; row < tile.rows; ++row)
-    {
-      for (Eigen::Index i = tile.begin + row * tile.row_length, end = i + tile.width; i < end; ++i)
-      {
-        of_tile += is_outside(points_(i, 0), points_(i, 1));
-      }
-    }
-    weights_[static_cast<Eigen::Index>(t)] = of_tile > 0 ? 0.f : 1.f;
-    outside += of_tile;
-    count += tile.count();
-  }
-  return 1.0 - static_cast<double>(outside) / static_cast<double>(count);
-}
 
 void RegionFit::sumTiles()
 {
@@ -95,33 +22,32 @@ void RegionFit::sumTiles()
   for (std::size_t t = 0; t < tiles_.size(); ++t)
   {
     const Tile& tile = tiles_[t];
-    tile.clearPadding(sampled_);
-    const float* differences = sampled_.data() + tile.begin;
+    float* differences = sampled_.data() + tile.begin;
+    std::fill(differences + tile.count, differences + tile.padded, 0.f);
     float* sums = sums_.col(static_cast<Eigen::Index>(t)).data();
-    const int count = 2 * parameters_ + kShadings;
-    dots(column, count, differences, tile.padded(), sums);
-    sums[count] = dot(differences, differences, tile.padded());
-    column += count * tile.padded();
+    for (int k = 0; k < 2 * parameters_ + kShadings; ++k, column += tile.padded)
+    {
+      *sums++ = dot(column, differences, tile.padded);
+    }
+    *sums = dot(differences, differences, tile.padded);
   }
 }
 
-const RegionFit::Motions& RegionFit::solve(const PixelMap& map, double& inside)
+const RegionFit::Motions& RegionFit::solve(const cv::Mat& image, const IntensityModel& intensity, const PixelMap& map,
+                                           double& inside)
 {
-  if (!cover(map))
-  {
-    inside = 0.0;
-    return motions_;
-  }
-  sampleSpline(spline_image_.source(), group_x_.data(), group_y_.data(), group_x_.size(), spline_image_.toPart(map),
-               sampled_.data());
-  if (intensity_.kind == IntensityModel::Kind::COUNTS)
-  {
-    attenuate(sampled_.data(), sampled_.size(), static_cast<float>(intensity_.offset));
-  }
+  const int outside = samplePoints(image, Sampling::SPLINE, intensity, points_, box_, map, sampled_, outside_);
+  inside = 1.0 - static_cast<double>(outside) / static_cast<double>(points_.rows());
   sampled_ -= values_;
   sumTiles();
   weights_.setOnes();
-  inside = weighOutside(map);
+  for (std::size_t t = 0; outside > 0 && t < tiles_.size(); ++t)
+  {
+    if (outside_.segment(tiles_[t].begin, tiles_[t].padded).maxCoeff() > 0.f)
+    {
+      weights_[static_cast<Eigen::Index>(t)] = 0.f;
+    }
+  }
   doubtCoveredTiles();
   reweight();
   solveWeighted(WHITE);
@@ -145,7 +71,7 @@ void RegionFit::doubtCoveredTiles()
   for (Eigen::Index t = 0; t < tiles; ++t)
   {
     // The first nuisance pattern is the constant.
-    variances_[t] = sums_(2 * parameters_, t) / static_cast<float>(tiles_[static_cast<std::size_t>(t)].count());
+    variances_[t] = sums_(2 * parameters_, t) / static_cast<float>(tiles_[static_cast<std::size_t>(t)].count);
   }
   sorted_ = variances_;
   variances_ -= middle();
@@ -158,22 +84,27 @@ void RegionFit::doubtCoveredTiles()
   }
 }
 
-ParameterCovariance RegionFit::scatter()
+RegionFit::System RegionFit::scoreScatter() const
 {
-  // The sums over all squares of two by two tiles, each square a quarter: of two neighbours a half of their product
-  // counts, a quarter where they only share a corner. So, with both directions one after the other:
-  const Eigen::Index columns = tile_columns_, tiles = contributions_.rows();
-  around_ = contributions_;
-  for (Eigen::Index first = 0; first < tiles; first += columns)
+  // Over all squares of two by two tiles, those that reach over the region's border too: every tile is in four.
+  System scatter = System::Zero(unknowns_, unknowns_);
+  Unknowns sum(unknowns_);
+  const Eigen::Index rows = scores_.cols() / tile_columns_;
+  for (Eigen::Index r = 0; r <= rows; ++r)
   {
-    const auto row = contributions_.middleRows(first, columns);
-    around_.middleRows(first, columns - 1) += 0.5 * row.bottomRows(columns - 1);
-    around_.middleRows(first + 1, columns - 1) += 0.5 * row.topRows(columns - 1);
+    for (Eigen::Index c = 0; c <= tile_columns_; ++c)
+    {
+      sum.setZero();
+      for (Eigen::Index y = std::max<Eigen::Index>(0, r - 1); y <= std::min(r, rows - 1); ++y)
+      {
+        for (Eigen::Index x = std::max<Eigen::Index>(0, c - 1); x <= std::min(c, tile_columns_ - 1); ++x)
+        {
+          sum += scores_.col(y * tile_columns_ + x);
+        }
+      }
+      scatter.noalias() += 0.25 * sum * sum.transpose();
+    }
   }
-  ParameterCovariance scatter = contributions_.transpose() * around_;
-  const ParameterCovariance across =
-      contributions_.topRows(tiles - columns).transpose() * around_.bottomRows(tiles - columns);
-  scatter += 0.5 * (across + across.transpose());
   return scatter;
 }
 
@@ -212,7 +143,7 @@ void RegionFit::findVariances()
     const float explained =
         unknown.dot(product_.segment(t * q, q)) - 2.f * static_cast<float>(unknown_[OVERLAY].dot(right(WHITE, t)));
     variances_[t] = std::max(0.f, sums_(sums_.rows() - 1, t) + explained) /
-                    static_cast<float>(tiles_[static_cast<std::size_t>(t)].count());
+                    static_cast<float>(tiles_[static_cast<std::size_t>(t)].count);
   }
 }
 
@@ -260,12 +191,12 @@ ParameterCovariance RegionFit::covariance(Noise noise, double missing)
   const int q = unknowns_;
   const UnknownsOfTiles unknown = unknown_[noise].cast<float>();
   product_.noalias() = normal_[noise] * unknown;
-  const auto solving = inverse_[noise].topRows(p);  // the equations for m
   for (Eigen::Index t = 0; t < weights_.size(); ++t)
   {
-    const Unknowns score = right(noise, t) - noise_scores_[noise].col(t) - product_.segment(t * q, q).cast<double>();
-    contributions_.row(t).noalias() = static_cast<double>(weights_[t]) * (solving * score).transpose();
+    scores_.col(t) = static_cast<double>(weights_[t]) *
+                     (right(noise, t) - noise_scores_[noise].col(t) - product_.segment(t * q, q).cast<double>());
   }
+  const System scatter = scoreScatter() + missing * all_squares_[noise];
   // So many tiles that tell as much as these would tell if all told the same.
   const auto told = information_[noise] * weights_.cast<double>();
   const double tiles = told.sum() * told.sum() / std::max(told.square().sum(), 1e-30);
@@ -275,8 +206,7 @@ ParameterCovariance RegionFit::covariance(Noise noise, double missing)
   const double independent = tiles / 2.25;
   const double freedom =
       tiles / std::max(1.0, tiles - 1.0) * independent / std::max(1.0, independent - 3.0) / noise_seen_;
-  const System of_white = solving * all_squares_[noise] * solving.transpose();
-  return freedom * (scatter() + missing * of_white);
+  return freedom * (inverse_[noise] * scatter * inverse_[noise].transpose()).topLeftCorner(p, p);
 }
 
 const RegionFit::Assessment& RegionFit::assess()
@@ -286,7 +216,7 @@ const RegionFit::Assessment& RegionFit::assess()
   for (Eigen::Index t = 0; t < weights_.size(); ++t)
   {
     const double w = static_cast<double>(weights_[t]);
-    const double count = static_cast<double>(tiles_[static_cast<std::size_t>(t)].count());
+    const double count = static_cast<double>(tiles_[static_cast<std::size_t>(t)].count);
     residual += w * static_cast<double>(variances_[t]) * count;
     texture += w * static_cast<double>(normal_[WHITE](t * q + q - 1, q - 1));
     counted += w * count;

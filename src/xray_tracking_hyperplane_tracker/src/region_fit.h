@@ -8,7 +8,6 @@
 
 #include "point_sampler.h"
 #include "spectral_filter.h"
-#include "spline_image.h"
 #include "warp.h"
 #include "xray_tracking_core/sequence/treatment_setup.h"
 
@@ -57,10 +56,9 @@ public:
   RegionFit(const cv::Mat& image, const IntensityModel& intensity, const cv::Rect& region, int parameters,
             double radius, const DifferenceModel& model);
 
-  /// From now on it is this image, of the template's size and type, that is solved for.
-  void look(const cv::Mat& image);
-  /// No allocation. @param map of the region to the image; @param inside out, share of the region inside, 0..1
-  const Motions& solve(const PixelMap& map, double& inside);
+  /// @param inside out, share of the region inside the image, 0..1
+  /// @return the motions for the image under a map of the region to it; no allocation
+  const Motions& solve(const cv::Mat& image, const IntensityModel& intensity, const PixelMap& map, double& inside);
   /// Of the last solve().
   const Assessment& assess();
 
@@ -71,24 +69,11 @@ private:
   using Unknowns = Eigen::Matrix<double, Eigen::Dynamic, 1, 0, kMaxUnknowns, 1>;
   using UnknownsOfTiles = Eigen::Matrix<float, Eigen::Dynamic, 1, 0, kMaxUnknowns, 1>;
 
-  /// Points of a tile are row by row; rows are filled up to whole groups.
   struct Tile
   {
-    Eigen::Index begin = 0;  ///< of its points
-    Eigen::Index rows = 0;
-    Eigen::Index width = 0;       ///< of a row
-    Eigen::Index row_length = 0;  ///< with what fills it up
-    Eigen::Index count() const { return rows * width; }
-    Eigen::Index padded() const { return rows * row_length; }
-    /// Sets what fills up the rows to zero. @param values of all points
-    template <typename Column>
-    void clearPadding(Column&& values) const
-    {
-      for (Eigen::Index row = 0; row < rows && width < row_length; ++row)
-      {
-        values.segment(begin + row * row_length + width, row_length - width).setZero();
-      }
-    }
+    Eigen::Index begin = 0;   ///< of its points
+    Eigen::Index padded = 0;  ///< number of points with the padding to whole vectors
+    Eigen::Index count = 0;   ///< without
   };
 
   /// @param noise_reach mean distance of pixels whose noise is alike [px]
@@ -96,10 +81,6 @@ private:
   /// @param slopes J without the patterns of N
   void store(const Eigen::MatrixXf& slopes, const std::array<Eigen::MatrixXf, 2>& instruments,
              const Eigen::MatrixXf& nuisance, const Eigen::VectorXf& template_noise);
-  /// @return whether the image under the map is now in spline_image_: it is not where the map has gone astray
-  bool cover(const PixelMap& map);
-  /// Gives tiles that are partly outside the image no weight. @return share of the points that are inside
-  double weighOutside(const PixelMap& map);
   void sumTiles();
   void doubtCoveredTiles();
   void reweight();
@@ -109,8 +90,7 @@ private:
   Unknowns right(Noise noise, Eigen::Index tile) const;
   /// The tiles' mean square residuals.
   void findVariances();
-  /// Of the motion, by that of the tiles' contributions to it.
-  ParameterCovariance scatter();
+  System scoreScatter() const;
   /// @param missing of the residual's variance to what is the least
   ParameterCovariance covariance(Noise noise, double missing);
 
@@ -123,33 +103,29 @@ private:
 
   std::vector<Tile> tiles_;  ///< row by row
   Eigen::Index tile_columns_ = 0;
-  Points points_;                     ///< rows are filled up with their last one
-  Box box_;                           ///< around the points
-  Eigen::ArrayXf group_x_, group_y_;  ///< of the groups' first points
+  Points points_;
+  Box box_;
   Eigen::ArrayXf values_;
   float contrast_ = 0.f;
   Eigen::VectorXf columns_;  ///< tile after tile: Z of both kinds, N, column after column
   /// Tile after tile, for either kind: [Z N]^T [J N], J without the patterns of N.
   std::array<Eigen::MatrixXf, 2> normal_;
-  std::array<System, 2> all_normal_;   ///< sums of normal_ over all tiles
-  std::array<System, 2> all_squares_;  ///< [Z N]^T [Z N], both the same Z, over all tiles
+  std::array<Eigen::MatrixXd, 2> all_normal_;   ///< sums of normal_ over all tiles
+  std::array<Eigen::MatrixXd, 2> all_squares_;  ///< [Z N]^T [Z N], both the same Z, over all tiles
   /// A column a tile: [Z N]^T times the template's noise. It is not in f0, but its part of the error is as that of the
   /// other image's noise: the scatter has to have it.
   std::array<Eigen::MatrixXd, 2> noise_scores_;
   std::array<Eigen::ArrayXd, 2> information_;  ///< a tile's share of what is known of the motion
   Eigen::ArrayXf tolerance_;                   ///< variance that a small error of the motion makes in a tile
 
-  IntensityModel intensity_;
-  cv::Mat image_;             ///< the last one that was looked at
-  SplineImage spline_image_;  ///< the part of it where the region was looked for
   Eigen::ArrayXf sampled_;
+  Eigen::ArrayXf outside_;
   Eigen::MatrixXf sums_;  ///< a column a tile: Z^T d of both kinds, N^T d, d^T d
   Eigen::ArrayXf weights_;
   Eigen::ArrayXf variances_;
   Eigen::ArrayXf sorted_;
   Eigen::VectorXf product_;
-  /// A row a tile: what its residual adds to the motion; and the same of the tiles around it.
-  Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, 0, Eigen::Dynamic, kMaxParameters> contributions_, around_;
+  Eigen::MatrixXd scores_;           ///< a column a tile: its weighted part of the equations
   std::array<System, 2> inverse_;    ///< of the weighted equations' matrix
   std::array<Unknowns, 2> unknown_;  ///< m and n
   Motions motions_;

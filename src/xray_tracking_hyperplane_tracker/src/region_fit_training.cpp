@@ -13,13 +13,10 @@ namespace xray_tracking
 {
 namespace
 {
+constexpr int kLane = 8;          ///< floats in a vector
 constexpr double kTiles = 100.0;  ///< about; enough for their scatter to be an estimate
 /// Error of the motion [px] whose residual does not make an outlier.
 constexpr float kMotionError = 0.15f;
-/// Around the region [px].
-constexpr int kMargin = 16;
-/// Largest part of an image that the region is looked for in, in diagonals of the region.
-constexpr double kMostReach = 1.25;
 /// A residual's variance is hardly less: what the spline's kernel leaves of the noise between four pixels, 0.21 of
 /// white noise.
 double leastNoise(const NoiseSpectrum& noise)
@@ -96,36 +93,32 @@ cv::Mat asSampled(const cv::Mat& values, const IntensityModel& intensity)
 
 void RegionFit::layTiles(const cv::Rect& region, double noise_reach)
 {
-  // Where tiles are not smaller than a group, they are whole groups wide, but for the last ones.
   const double side = std::max(4.0, std::sqrt(grid_.area() / kTiles));
-  const int unit = side < kGroup ? 1 : kGroup;
-  const int units = (grid_.width + unit - 1) / unit;
-  const double usual_width = unit * std::max(1.0, std::round(side / unit));
-  const int columns = std::max(1, static_cast<int>(std::lround(grid_.width / usual_width)));
-  const int rows = std::max(1, static_cast<int>(std::lround(grid_.height * usual_width / (side * side))));
+  const int columns = std::max(1, static_cast<int>(std::lround(grid_.width / side)));
+  const int rows = std::max(1, static_cast<int>(std::lround(grid_.height / side)));
   tile_columns_ = columns;
   noise_seen_ = noiseSeen(noise_reach, static_cast<double>(region.width) / columns) *
                 noiseSeen(noise_reach, static_cast<double>(region.height) / rows);
   std::vector<Eigen::Vector2f> places;
   for (int r = 0; r < rows; ++r)
   {
-    const int top = r * grid_.height / rows, bottom = (r + 1) * grid_.height / rows;
     for (int c = 0; c < columns; ++c)
     {
-      const int left = c * units / columns * unit;
-      const int right = std::min(grid_.width, (c + 1) * units / columns * unit);
       Tile tile;
       tile.begin = static_cast<Eigen::Index>(places.size());
-      tile.rows = bottom - top;
-      tile.width = right - left;
-      tile.row_length = (tile.width + kGroup - 1) / kGroup * kGroup;
-      for (int y = top; y < bottom; ++y)
+      for (int y = r * grid_.height / rows; y < (r + 1) * grid_.height / rows; ++y)
       {
-        for (int x = left; x < left + tile.row_length; ++x)
+        for (int x = c * grid_.width / columns; x < (c + 1) * grid_.width / columns; ++x)
         {
-          places.emplace_back(region.x + std::min(x, right - 1) * step_, region.y + y * step_);
+          places.emplace_back(region.x + x * step_, region.y + y * step_);
         }
       }
+      tile.count = static_cast<Eigen::Index>(places.size()) - tile.begin;
+      while (places.size() % kLane != 0)
+      {
+        places.push_back(places.back());
+      }
+      tile.padded = static_cast<Eigen::Index>(places.size()) - tile.begin;
       tiles_.push_back(tile);
     }
   }
@@ -135,10 +128,6 @@ void RegionFit::layTiles(const cv::Rect& region, double noise_reach)
     points_.row(i) = places[static_cast<std::size_t>(i)].transpose();
   }
   box_ = Box(points_.colwise().minCoeff().transpose(), points_.colwise().maxCoeff().transpose());
-  const Eigen::Index groups = points_.rows() / kGroup;
-  using EveryGroup = Eigen::Map<const Eigen::ArrayXf, 0, Eigen::InnerStride<kGroup>>;
-  group_x_ = EveryGroup(points_.col(0).data(), groups);
-  group_y_ = EveryGroup(points_.col(1).data(), groups);
 }
 
 RegionFit::RegionFit(const cv::Mat& image, const IntensityModel& intensity, const cv::Rect& region, int parameters,
@@ -147,16 +136,16 @@ RegionFit::RegionFit(const cv::Mat& image, const IntensityModel& intensity, cons
     unknowns_(parameters + kShadings),
     step_(static_cast<int>(std::ceil(std::sqrt(region.area() / kMaxFitPixels)))),
     grid_(region.width / step_, region.height / step_),
-    floor_(leastNoise(model.noise)),
-    intensity_(intensity),
-    spline_image_(step_, static_cast<int>(kMostReach * std::hypot(region.width, region.height)) + kMargin)
+    floor_(leastNoise(model.noise))
 {
   layTiles(region, noiseReach(model.noise));
   const Eigen::Index n = points_.rows();
   values_.resize(n);
   sampled_.resize(n);
+  outside_.resize(n);
 
   // Derivatives by the motion, on the grid for the filter.
+  constexpr int kMargin = 16;
   const cv::Rect seen =
       cv::Rect(region.x - kMargin, region.y - kMargin, region.width + 2 * kMargin, region.height + 2 * kMargin) &
       cv::Rect(cv::Point(), image.size());
@@ -214,10 +203,7 @@ RegionFit::RegionFit(const cv::Mat& image, const IntensityModel& intensity, cons
   {
     for (const Tile& tile : tiles_)
     {
-      for (Eigen::Index k = 0; k < columns.cols(); ++k)
-      {
-        tile.clearPadding(columns.col(k));
-      }
+      columns.middleRows(tile.begin + tile.count, tile.padded - tile.count).setZero();
     }
   };
   clear_padding(patterns);
@@ -243,8 +229,7 @@ RegionFit::RegionFit(const cv::Mat& image, const IntensityModel& intensity, cons
   variances_.resize(tiles);
   sorted_.resize(tiles);
   product_.resize(tiles * unknowns_);
-  contributions_.resize(tiles, parameters);
-  around_.resize(tiles, parameters);
+  scores_.resize(unknowns_, tiles);
 }
 
 void RegionFit::store(const Eigen::MatrixXf& slopes, const std::array<Eigen::MatrixXf, 2>& instruments,
@@ -257,8 +242,8 @@ void RegionFit::store(const Eigen::MatrixXf& slopes, const std::array<Eigen::Mat
   for (const Noise noise : { WHITE, OVERLAY })
   {
     normal_[noise].resize(tiles * q, q);
-    all_normal_[noise] = System::Zero(q, q);
-    all_squares_[noise] = System::Zero(q, q);
+    all_normal_[noise] = Eigen::MatrixXd::Zero(q, q);
+    all_squares_[noise] = Eigen::MatrixXd::Zero(q, q);
     noise_scores_[noise].resize(q, tiles);
   }
   tolerance_.resize(tiles);
@@ -266,11 +251,11 @@ void RegionFit::store(const Eigen::MatrixXf& slopes, const std::array<Eigen::Mat
   for (Eigen::Index t = 0; t < tiles; ++t)
   {
     const Tile& tile = tiles_[static_cast<std::size_t>(t)];
-    const auto rows = [&tile](const Eigen::MatrixXf& all) { return all.middleRows(tile.begin, tile.padded()); };
-    Eigen::Map<Eigen::MatrixXf> stored(column, tile.padded(), 2 * p + kShadings);
+    const auto rows = [&tile](const Eigen::MatrixXf& all) { return all.middleRows(tile.begin, tile.padded); };
+    Eigen::Map<Eigen::MatrixXf> stored(column, tile.padded, 2 * p + kShadings);
     stored << rows(instruments[WHITE]), rows(instruments[OVERLAY]), rows(nuisance);
     column += stored.size();
-    Eigen::MatrixXf right(tile.padded(), q), left(tile.padded(), q);
+    Eigen::MatrixXf right(tile.padded, q), left(tile.padded, q);
     right << rows(slopes), rows(nuisance);
     for (const Noise noise : { WHITE, OVERLAY })
     {
@@ -278,10 +263,9 @@ void RegionFit::store(const Eigen::MatrixXf& slopes, const std::array<Eigen::Mat
       normal_[noise].middleRows(t * q, q) = left.transpose() * right;
       all_normal_[noise] += normal_[noise].middleRows(t * q, q).cast<double>();
       all_squares_[noise] += (left.transpose() * left).cast<double>();
-      noise_scores_[noise].col(t) =
-          (left.transpose() * template_noise.segment(tile.begin, tile.padded())).cast<double>();
+      noise_scores_[noise].col(t) = (left.transpose() * template_noise.segment(tile.begin, tile.padded)).cast<double>();
     }
-    tolerance_[t] = kMotionError * kMotionError * right.leftCols(2).squaredNorm() / static_cast<float>(tile.count());
+    tolerance_[t] = kMotionError * kMotionError * right.leftCols(2).squaredNorm() / static_cast<float>(tile.count);
   }
 
   for (const Noise noise : { WHITE, OVERLAY })

@@ -12,10 +12,6 @@ namespace xray_tracking
 {
 namespace
 {
-/// Half of what a search usually looks at, in sizes of the region, and as a share of the first predictor's range; one
-/// that goes farther takes in the whole image.
-constexpr double kSeen = 0.6;
-constexpr double kUsualMotion = 0.5;
 /// Share of points outside the image that is still tracked; they take the mean difference of the others, which the
 /// predictor does not see.
 constexpr double kMaxOutside = 0.25;
@@ -28,7 +24,7 @@ constexpr double kOverlayMotion = 5.5;
 /// The last steps: how many, the longest that is believed, and that which needs none after it [px].
 constexpr int kMaxFits = 24;
 constexpr float kFitRange = 3.f;
-constexpr float kFitConvergence = 0.01f;
+constexpr float kFitConvergence = 0.02f;
 /// Mean disagreement (RegionFit) of images without an overlay that moves on its own, at most, and of those with one.
 constexpr double kAgreeing = 2.0;
 constexpr double kDisagreeing = 8.0;
@@ -191,7 +187,7 @@ void RegionTemplate::simulate(const cv::Mat& image, const Warp& warp, const Leve
 void RegionTemplate::look(const cv::Mat& image, const Warp& start)
 {
   const Eigen::Vector2d half =
-      kSeen * Eigen::Vector2d(region_.width, region_.height).array() + kUsualMotion * options_.ranges.front();
+      0.75 * Eigen::Vector2d(region_.width, region_.height).array() + 1.5 * options_.ranges.front();
   const Eigen::Vector2d limit(1e6, 1e6);  // of what an integer holds, wherever the search has gone
   const Eigen::Vector2d corner = (centre_ + start.translation - half).cwiseMax(-limit).cwiseMin(limit);
   coarse_.update(image, cv::Rect(static_cast<int>(corner.x()), static_cast<int>(corner.y()),
@@ -202,13 +198,15 @@ int RegionTemplate::sample(const cv::Mat& image, const Warp& warp)
 {
   const IntensityModel intensity = coarse_.intensity(intensity_);
   const PixelMap map = pixelMap(warp);
-  const int outside = samplePoints(coarse_.pixels(), intensity, points_, box_, coarse_.toBins(map), sampled_, outside_);
+  const int outside = samplePoints(coarse_.pixels(), Sampling::BILINEAR, intensity, points_, box_, coarse_.toBins(map),
+                                   sampled_, outside_);
   if (outside == 0 || coarse_.isWhole())
   {
     return outside;
   }
   coarse_.update(image, cv::Rect(cv::Point(), size_));
-  return samplePoints(coarse_.pixels(), intensity, points_, box_, coarse_.toBins(map), sampled_, outside_);
+  return samplePoints(coarse_.pixels(), Sampling::BILINEAR, intensity, points_, box_, coarse_.toBins(map), sampled_,
+                      outside_);
 }
 
 void RegionTemplate::compare(const Level& level, int outside)
@@ -279,11 +277,10 @@ void RegionTemplate::fit(const cv::Mat& image, SearchResult& result)
   RegionFit::Noise noise = noiseFor(evidence_);
   bool assessed = false;
   result.status = TrackResult::Status::DIVERGED;
-  fit_->look(image);
   for (int k = 0; k < kMaxFits; ++k)
   {
     double inside;
-    const RegionFit::Motions& motions = fit_->solve(pixelMap(result.warp), inside);
+    const RegionFit::Motions& motions = fit_->solve(image, intensity_, pixelMap(result.warp), inside);
     ++result.iterations;
     if (inside < 1.0 - kMaxOutside)
     {

@@ -9,7 +9,6 @@
 #include <Eigen/Core>
 
 #include "point_sampler.h"
-#include "spline_image.h"
 #include "warp.h"
 
 namespace xray_tracking
@@ -67,9 +66,9 @@ double cubicSpline(double t)
 double splineSample(const cv::Mat& pixels, double column, double row)
 {
   double sum = 0.0;
-  for (int r = static_cast<int>(std::floor(row)) - 2; r < row + 3; ++r)
+  for (int r = -2; r < pixels.rows + 2; ++r)
   {
-    for (int c = static_cast<int>(std::floor(column)) - 2; c < column + 3; ++c)
+    for (int c = -2; c < pixels.cols + 2; ++c)
     {
       const int y = std::clamp(r, 0, pixels.rows - 1), x = std::clamp(c, 0, pixels.cols - 1);
       sum += pixels.at<std::uint16_t>(y, x) * cubicSpline(column - c) * cubicSpline(row - r);
@@ -80,46 +79,38 @@ double splineSample(const cv::Mat& pixels, double column, double row)
 
 TEST(Kernels, splineSamplesEverywhere)
 {
-  cv::Mat pixels(80, 90, CV_16UC1);
+  cv::Mat pixels(kHeight, kWidth, CV_16UC1);
   cv::RNG(5).fill(pixels, cv::RNG::UNIFORM, 0, 256);
   cv::Mat bytes;
   pixels.convertTo(bytes, CV_8U);
-  constexpr int kGroups = 21;  // not a whole number of what is taken at once
-  const cv::Rect part(-30, -25, 150, 130);
-  // Points next to each other stay so, as far as it goes; they are pixels apart; they are stretched, mirrored, turned.
-  const std::vector<PixelMap> maps = { { 1.f, 0.f, 0.3f, 0.f, 1.f, -0.2f },
-                                       { 1.f, 0.f, 7.f, 0.f, 1.f, -4.f },
-                                       { 0.98f, -0.05f, 1.7f, 0.06f, 1.01f, -0.4f },
-                                       { 1.1f, 0.2f, -9.3f, -0.2f, 0.9f, 8.1f },
-                                       { 0.3f, -1.f, 60.f, 1.f, 0.3f, -15.2f } };
-  for (const int step : { 1, 2, 3 })
+  std::mt19937 random(4);
+  Points points(kCount, 2);
+  Eigen::ArrayXf values(kCount), outside(kCount);
+  const PixelMap map{ 0.98f, -0.05f, 1.7f, 0.06f, 1.01f, -0.4f };
+  IntensityModel attenuation;
+  attenuation.kind = IntensityModel::Kind::ATTENUATION;
+  // Far enough inside for vectors, and over the border.
+  for (const float margin : { 5.f, 0.f })
   {
-    SplineImage image(step, part.width + step);
-    Eigen::ArrayXf x(kGroups), y(kGroups), values(kGroups * kGroup);
-    std::mt19937 random(4);
-    for (int g = 0; g < kGroups; ++g)
+    std::uniform_real_distribution<float> along_x(margin, kWidth - 1 - margin), along_y(margin, kHeight - 1 - margin);
+    for (int i = 0; i < kCount; ++i)
     {
-      x[g] = std::uniform_real_distribution<float>(-3.f, 85.f - 8.f * static_cast<float>(step))(random);
-      y[g] = std::uniform_real_distribution<float>(-3.f, 78.f)(random);
+      points.row(i) << along_x(random), along_y(random);
     }
-    for (const cv::Mat& of : { pixels, bytes })
+    const Box box(points.colwise().minCoeff().transpose(), points.colwise().maxCoeff().transpose());
+    for (const cv::Mat& image : { pixels, bytes })
     {
-      ASSERT_TRUE(image.update(of, part));
-      for (const PixelMap& m : maps)
+      const int count = samplePoints(image, Sampling::SPLINE, attenuation, points, box, map, values, outside);
+      EXPECT_EQ(count > 0, margin == 0.f);
+      for (int i = 0; i < kCount; ++i)
       {
-        sampleSpline(image.source(), x.data(), y.data(), kGroups, image.toPart(m), values.data());
-        for (int i = 0; i < values.size(); ++i)
-        {
-          const double px = x[i / kGroup] + i % kGroup * step, py = y[i / kGroup];
-          const double column = static_cast<double>(m.xx) * px + static_cast<double>(m.xy) * py + m.x0;
-          const double row = static_cast<double>(m.yx) * px + static_cast<double>(m.yy) * py + m.y0;
-          // Places are rounded to 1e-5 px, grey values span 256 a pixel.
-          EXPECT_NEAR(values[i], splineSample(pixels, column, row), 5e-3)
-              << column << ", " << row << " step " << step << " map " << m.xx;
-        }
+        const double column = 0.98 * points(i, 0) - 0.05 * points(i, 1) + 1.7;
+        const double row = 0.06 * points(i, 0) + 1.01 * points(i, 1) - 0.4;
+        const double expected =
+            splineSample(pixels, std::clamp(column, 0.0, kWidth - 1.0), std::clamp(row, 0.0, kHeight - 1.0));
+        EXPECT_NEAR(values[i], expected, 2e-3) << column << ", " << row;
       }
     }
-    EXPECT_FALSE(image.update(pixels, cv::Rect(0, 0, part.width + 2 * step, 10)));
   }
 }
 
@@ -156,19 +147,6 @@ TEST(Kernels, dotAsADoubleSum)
 {
   const Eigen::VectorXf a = Eigen::VectorXf::Random(kCount), b = Eigen::VectorXf::Random(kCount);
   EXPECT_NEAR(dot(a.data(), b.data(), kCount), a.cast<double>().dot(b.cast<double>()), 1e-5);
-}
-
-TEST(Kernels, dotsAsDoubleSums)
-{
-  for (const int count : { 24, 29 })  // whole vectors, and not
-  {
-    const Eigen::MatrixXf columns = Eigen::MatrixXf::Random(count, 11);
-    const Eigen::VectorXf b = Eigen::VectorXf::Random(count);
-    Eigen::VectorXf sums(11);
-    dots(columns.data(), 11, b.data(), count, sums.data());
-    const Eigen::VectorXd expected = columns.cast<double>().transpose() * b.cast<double>();
-    EXPECT_LT((sums.cast<double>() - expected).cwiseAbs().maxCoeff(), 1e-5) << count;
-  }
 }
 
 TEST(Warp, exponentialOfARotationIsOne)

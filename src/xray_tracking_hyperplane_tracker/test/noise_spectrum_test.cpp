@@ -42,23 +42,6 @@ cv::Mat allUsable()
   return cv::Mat(kImage, CV_8UC1, cv::Scalar(255));
 }
 
-// A field without gaps that is smoother than any detector's noise, under little noise. Of the blurred field's power at
-// 0.19 cycles a pixel, exp(-4 pi^2 s^2 f^2) of that at zero, less than half of the standard deviation is left to noise.
-TEST(NoiseSpectrum, isNotTheStructureThatFallsFasterThanBehindABlur)
-{
-  constexpr double kBlur = 2.0;
-  cv::Mat smooth = whiteNoise(8);
-  cv::GaussianBlur(smooth, smooth, cv::Size(), kBlur, kBlur, cv::BORDER_REFLECT);
-  const NoiseSpectrum noise(smooth + 0.001 * whiteNoise(9), allUsable(), 0.0);
-  const double structure_there = kDeviation * std::exp(-2.0 * std::pow(M_PI * kBlur * 0.19, 2));
-  EXPECT_LT(std::sqrt(noise.power(0.0)), 0.5 * structure_there);
-  // What is behind a blur of 1 px, as intensifiers have it, is noise.
-  cv::Mat blurred = whiteNoise(10);
-  cv::GaussianBlur(blurred, blurred, cv::Size(), 1.0, 1.0, cv::BORDER_REFLECT);
-  const NoiseSpectrum behind(blurred + structure(), allUsable(), 0.0);
-  EXPECT_GT(std::sqrt(behind.power(0.2)), 0.85 * kDeviation * std::exp(-2.0 * std::pow(M_PI * 0.2, 2)));
-}
-
 TEST(NoiseSpectrum, findsWhiteNoiseUnderStructure)
 {
   const NoiseSpectrum noise(structure() + whiteNoise(1), allUsable(), 0.0);

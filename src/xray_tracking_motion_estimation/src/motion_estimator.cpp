@@ -18,9 +18,6 @@ namespace
 {
 constexpr double kConverged = 1e-9;  // mm, and 1e-11 rad: the same over 100 mm
 constexpr int kMaxIterations = 20;
-/// What the floors are for: 0.135 mm and 0.005 are what a degree makes of a depth that is unknown by 8 mm, and of one
-/// that changes along the region by 0.3, as in a spine [rad].
-constexpr double kFloorsRotation = M_PI / 180.0;
 constexpr std::size_t kMaxDegreesOfFreedom = 6 * kMaxViews - 3;
 
 /// The rotation of a warp's linear part, from columns to rows [rad], and its variance for the warp's covariance.
@@ -144,19 +141,18 @@ MotionEstimate MotionEstimator::estimate(const std::vector<std::optional<ViewMea
     return estimate;
   }
 
-  const double rotation_variance = admitRotation(measurements, observations);
   Motion motion{ reference_target_, Eigen::Matrix3d::Identity() };
   Solution solution = Solution::FOUND;
   if (options_.method == EstimationMethod::BACKPROJECTION)
   {
-    backProject(measurements, observations, rotation_variance, motion, estimate.covariance);
+    backProject(measurements, observations, motion, estimate.covariance);
   }
   else
   {
-    solution = solveLeastSquares(observations, rotation_variance, motion, estimate.covariance);
+    solution = solveLeastSquares(observations, motion, estimate.covariance);
   }
   // Tracks that contradict each other by many pixels pull the steps to and fro; for the judgement it is near enough.
-  if (solution == Solution::NONE || !judgeConsistency(observations, rotation_variance, motion, estimate) ||
+  if (solution == Solution::NONE || !judgeConsistency(observations, motion, estimate) ||
       (solution == Solution::NEAR && estimate.status == EstimateStatus::OK))
   {
     estimate = MotionEstimate();
@@ -199,8 +195,14 @@ std::string MotionEstimator::observe(std::size_t view, const ViewMeasurement& me
   }
   observation.reference_rotation = reference_.linear() * measurement.room_from_patient.linear().transpose();
 
+  Vector6d floor;
+  floor << Eigen::Vector2d::Constant(options_.floor_sigma / pixels_[view]),
+      Eigen::Vector4d::Constant(options_.linear_floor_sigma);
   observation.warp_covariance = track.covariance;
-  addFloors(1.0, track, observation);
+  observation.warp_covariance.diagonal() += floor.cwiseAbs2();
+  TrackParametersJacobian jacobian;
+  observation.parameters = nearestParameters(track.model, track.warp(), Eigen::Matrix2d::Identity(), jacobian);
+  observation.covariance.compute(jacobian * observation.warp_covariance * jacobian.transpose());
   if (!track.covariance.allFinite() || track.covariance.diagonal().minCoeff() < 0.0 ||
       (track.covariance - track.covariance.transpose()).cwiseAbs().maxCoeff() >
           1e-6 * track.covariance.diagonal().maxCoeff() ||
@@ -210,47 +212,6 @@ std::string MotionEstimator::observe(std::size_t view, const ViewMeasurement& me
                     track.covariance.row(1), "; ...], expected a symmetric positive semidefinite matrix");
   }
   return std::string();
-}
-
-void MotionEstimator::addFloors(double scale, const Track& track, Observation& observation) const
-{
-  Vector6d floor;
-  floor << Eigen::Vector2d::Constant(options_.floor_sigma / pixels_[observation.view]),
-      Eigen::Vector4d::Constant(options_.linear_floor_sigma);
-  observation.warp_covariance.diagonal() += scale * floor.cwiseAbs2();
-  TrackParametersJacobian jacobian;
-  observation.parameters = nearestParameters(track.model, track.warp(), Eigen::Matrix2d::Identity(), jacobian);
-  observation.covariance.compute(jacobian * observation.warp_covariance * jacobian.transpose());
-}
-
-double MotionEstimator::admitRotation(const std::vector<std::optional<ViewMeasurement>>& measurements,
-                                      Observations& observations) const
-{
-  const double usual_variance = options_.rotation_sigma * options_.rotation_sigma;
-  Eigen::Matrix3d information = Eigen::Matrix3d::Identity() / usual_variance;
-  Eigen::Vector3d sum = Eigen::Vector3d::Zero();
-  for (const Observation& observation : observations)
-  {
-    if (observation.model != TrackModel::TRANSLATION)
-    {
-      const ProjectionGeometry& view = views_[observation.view];
-      const Eigen::Vector3d normal = view.roomFromOptical().linear().col(2);
-      const auto [angle, variance] =
-          inPlaneRotation(measurements[observation.view]->track.warp(), observation.warp_covariance);
-      const double known = inPlaneRotation(view, observation.reference_rotation.transpose());
-      information += normal * normal.transpose() / variance;
-      sum += (angle + known) / variance * normal;
-    }
-  }
-  const Eigen::Vector3d seen = information.inverse() * sum;
-  for (Observation& observation : observations)
-  {
-    const Eigen::Matrix3d since_trained = rotationFromVector(seen) * observation.reference_rotation;
-    const double turned = vectorFromRotation(since_trained).norm() / kFloorsRotation;
-    addFloors(turned * turned, measurements[observation.view]->track, observation);
-  }
-  constexpr double kSeenAxes = 2.0;
-  return std::max(usual_variance, seen.squaredNorm() / kSeenAxes);
 }
 
 void MotionEstimator::whiten(const Observation& observation, const Motion& motion, Whitened& whitened) const
@@ -293,10 +254,10 @@ std::string MotionEstimator::viewNames(const Observations& observations) const
   return names;
 }
 
-MotionEstimator::Solution MotionEstimator::solveLeastSquares(const Observations& observations, double rotation_variance,
-                                                             Motion& motion, Matrix6d& covariance) const
+MotionEstimator::Solution MotionEstimator::solveLeastSquares(const Observations& observations, Motion& motion,
+                                                             Matrix6d& covariance) const
 {
-  const double rotation_weight = 1.0 / rotation_variance;
+  const double rotation_weight = 1.0 / (options_.rotation_sigma * options_.rotation_sigma);
   Whitened whitened;
   for (int iteration = 0; iteration < kMaxIterations; ++iteration)
   {
@@ -330,13 +291,13 @@ MotionEstimator::Solution MotionEstimator::solveLeastSquares(const Observations&
 }
 
 void MotionEstimator::backProject(const std::vector<std::optional<ViewMeasurement>>& measurements,
-                                  const Observations& observations, double rotation_variance, Motion& motion,
-                                  Matrix6d& covariance) const
+                                  const Observations& observations, Motion& motion, Matrix6d& covariance) const
 {
   Eigen::Vector3d diagonal = Eigen::Vector3d::Zero();  // s = diag(M M^T), eq. (5)
   Eigen::Vector3d sum = Eigen::Vector3d::Zero();
   Eigen::Matrix3d sum_covariance = Eigen::Matrix3d::Zero();
-  Eigen::Matrix3d rotation_information = Eigen::Matrix3d::Identity() / rotation_variance;
+  Eigen::Matrix3d rotation_information =
+      Eigen::Matrix3d::Identity() / (options_.rotation_sigma * options_.rotation_sigma);
   for (const Observation& observation : observations)
   {
     const ProjectionGeometry& view = views_[observation.view];
@@ -382,14 +343,14 @@ void MotionEstimator::backProject(const std::vector<std::optional<ViewMeasuremen
   covariance.bottomRightCorner<3, 3>() = rotation_information.inverse();
 }
 
-bool MotionEstimator::judgeConsistency(const Observations& observations, double rotation_variance, const Motion& motion,
+bool MotionEstimator::judgeConsistency(const Observations& observations, const Motion& motion,
                                        MotionEstimate& estimate) const
 {
   Whitened whitened;
   double squared_pixels = 0.0;
   double squared_millimetres = 0.0;
   estimate.rotation = vectorFromRotation(motion.rotation);
-  estimate.chi_square = estimate.rotation.squaredNorm() / rotation_variance;
+  estimate.chi_square = estimate.rotation.squaredNorm() / (options_.rotation_sigma * options_.rotation_sigma);
   estimate.degrees_of_freedom = -3;
   for (const Observation& observation : observations)
   {

@@ -280,12 +280,11 @@ private:
   std::normal_distribution<double> normal_;
 };
 
-/// That a sum of squares lies within the 99.9 % bounds of its chi-square distribution: of dozens of sums none is outside
-/// by chance.
+/// That a sum of squares lies within the 95 % bounds of its chi-square distribution.
 inline void expectChiSquare(double sum, double degrees_of_freedom, const std::string& what)
 {
   const boost::math::chi_squared distribution(degrees_of_freedom);
-  EXPECT_GT(sum, boost::math::quantile(distribution, 0.0005)) << what;
-  EXPECT_LT(sum, boost::math::quantile(distribution, 0.9995)) << what;
+  EXPECT_GT(sum, boost::math::quantile(distribution, 0.025)) << what;
+  EXPECT_LT(sum, boost::math::quantile(distribution, 0.975)) << what;
 }
 }  // namespace xray_tracking

@@ -1,6 +1,5 @@
 #pragma once
 
-#include <algorithm>
 #include <vector>
 
 #include <opencv2/core.hpp>
@@ -32,17 +31,10 @@ public:
   double correlation() const;
 
 private:
-  /// Of three pixels.
   struct Sample
   {
-    Sample(float a, float b, float c)
-    {
-      const float low = std::min(a, b), high = std::max(a, b);
-      value = std::max(low, std::min(high, c));
-      range = std::max(high, c) - std::min(low, c);
-    }
-    float value;  ///< the median
-    float range;
+    float value;
+    float range;  ///< of three pixels
   };
 
   template <typename Pixel>
@@ -54,7 +46,7 @@ private:
   cv::Mat values_, light_;
   double largest_ = 0.0, smallest_ = 0.0;
   float brightest_ = 0.f, step_ = 0.f, noise_ = 0.f, quantum_ = 0.f;
-  int every_ = 1;  ///< bin is a sample
+  std::vector<int> columns_;  ///< of the pixels of every bin
   std::vector<Sample> samples_;
   std::vector<float> sorted_;
 };

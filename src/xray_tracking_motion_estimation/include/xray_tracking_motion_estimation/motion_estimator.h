@@ -39,16 +39,15 @@ struct MotionEstimationOptions
 
   /// Standard deviation of a track along either pixel axis that the tracker's own covariance does not know of, at the
   /// target [mm], > 0: surroundings that move otherwise, blur. Added to every track's covariance in weights, results
-  /// and the consistency gate. Its variance grows by (the rotation that is seen / 1 degree)^2.
+  /// and the consistency gate.
   double floor_sigma = 0.135;
 
   /// The same for each of the four numbers of a track's linear part, > 0: what a rotation out of the plane does to a
-  /// region whose depth varies, surroundings. 0.01 makes an angle uncertain by 0.4 degrees. Grows as floor_sigma does.
+  /// region whose depth varies, surroundings. 0.01 makes an angle uncertain by 0.4 degrees.
   double linear_floor_sigma = 0.005;
 
   /// Standard deviation of the patient's rotation about each room axis since the reference pose, before anything is
-  /// measured [rad], > 0. What the tracks do not tell of the rotation is estimated as zero with this uncertainty, or
-  /// with that of the rotation they tell of, root mean square of two axes, where that is larger.
+  /// measured [rad], > 0. What the tracks do not tell of the rotation is estimated as zero with this uncertainty.
   double rotation_sigma = 0.0349;
 
   /// Standard deviation, along any room axis, of what tracking takes for the target's motion and is that of other
@@ -168,14 +167,6 @@ private:
 
   /// @return what is wrong with the measurement; empty if nothing is
   std::string observe(std::size_t view, const ViewMeasurement& measurement, Observation& observation) const;
-  /// @param scale of the floors' variances
-  void addFloors(double scale, const Track& track, Observation& observation) const;
-  /// Takes the rotation that views see in their planes into account of what is not known: the unknown depth of what is
-  /// tracked moves and shears it in proportion, so that the floors grow; and a rotation that is not seen is likely as
-  /// large as one that is, where that is larger than rotation_sigma.
-  /// @return variance of the rotation about an axis before it is measured [rad^2]
-  double admitRotation(const std::vector<std::optional<ViewMeasurement>>& measurements,
-                       Observations& observations) const;
   void whiten(const Observation& observation, const Motion& motion, Whitened& whitened) const;
   /// The largest angle between the lines of sight of two of the views that are there [rad].
   static double widestAngle(const Observations& observations, const std::vector<Eigen::Vector3d>& lines_of_sight);
@@ -185,12 +176,10 @@ private:
     NEAR,  ///< the steps had not come to rest
     NONE   ///< not in front of all sources
   };
-  Solution solveLeastSquares(const Observations& observations, double rotation_variance, Motion& motion,
-                             Matrix6d& covariance) const;
+  Solution solveLeastSquares(const Observations& observations, Motion& motion, Matrix6d& covariance) const;
   void backProject(const std::vector<std::optional<ViewMeasurement>>& measurements, const Observations& observations,
-                   double rotation_variance, Motion& motion, Matrix6d& covariance) const;
-  bool judgeConsistency(const Observations& observations, double rotation_variance, const Motion& motion,
-                        MotionEstimate& estimate) const;
+                   Motion& motion, Matrix6d& covariance) const;
+  bool judgeConsistency(const Observations& observations, const Motion& motion, MotionEstimate& estimate) const;
   void fillPose(const Motion& motion, MotionEstimate& estimate) const;
   std::string viewNames(const Observations& observations) const;
 
