@@ -168,8 +168,11 @@ TEST(Trackers, takeLittleOfOneCoreAndCopyNothing)
       // Nobody may still look at the picture, whose stamp changes.
       ASSERT_TRUE(wait_until([&] { return tracked >= kTrackers * (k - kPictures + 1); }));
       const sensor_msgs::ImagePtr& next = pictures[static_cast<std::size_t>(k % kPictures)];
-      // The last byte of a pixel: the same picture again would be that of a panel that has stopped.
-      next->data[0] = static_cast<std::uint8_t>(k);
+      // The last byte of a pixel in every row: the same rows again would be those of a panel that has stopped.
+      for (std::uint32_t row = 0; row < next->height; ++row)
+      {
+        next->data[row * next->step] = static_cast<std::uint8_t>(k);
+      }
       send(next);
       rate.sleep();
     }
