@@ -19,7 +19,7 @@ class RepeatedImageCheck
 {
 public:
   /// Takes in the next image, of any type. @return the stamp of the last of the earlier images that it is the same as,
-  /// or that a quarter of its rows are from; of the last kRemembered of its size and type
+  /// or that two fifths of its rows are from; of the last kRemembered of its size and type
   std::optional<std::int64_t> add(const cv::Mat& image, std::int64_t stamp_ns);
   void reset();
 
