@@ -21,7 +21,7 @@ constexpr double kMaxSaturation = 3.0;
 /// What is known of a saturation before the images are seen: 0.2 within 0.5, from patients' trunks to metal.
 constexpr double kSaturationInformation = 4.0;
 
-/// Standard deviation of what counts, from the median size, which a few hundred pixels tell within some per cent.
+/// Standard deviation of what counts, from the median size, which a thousand pixels tell within some per cent.
 float robustDeviation(const Eigen::VectorXf& residual, const Eigen::VectorXf& valid)
 {
   const Eigen::Index step = std::max<Eigen::Index>(1, (valid.array() > 0.0f).count() / kMedianOf);

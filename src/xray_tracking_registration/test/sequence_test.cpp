@@ -18,6 +18,23 @@ struct Limits
   double median;
   double p95;
 };
+
+/// An exposure, from a start 2 mm and 1 degree off.
+RegistrationRequest requestFor(const Sequence& sequence, std::size_t exposure, std::mt19937& random)
+{
+  const TreatmentSetup& setup = sequence.setup;
+  const RigidTransform& gold = sequence.gold_standard[exposure].room_from_patient;
+  RegistrationRequest request;
+  for (std::size_t v = 0; v < setup.detectors.size(); ++v)
+  {
+    request.views.push_back(
+        { setup.detectors[v], readXrayImage(sequence.exposures[exposure].files[v], setup.detectors[v].imageSize()) });
+  }
+  request.intensity = setup.intensity;
+  request.room_from_patient = motionAbout(gold * setup.targetCentre(), randomTwist(random, 1.0, 2.0)) * gold;
+  request.time_budget = std::chrono::duration<double>(60.0);
+  return request;
+}
 }  // namespace
 
 /// Real anatomy, X-rays by foreign physics, bodies that deform; $XRAY_TRACKING_SHARED_DATA is the folder that holds
@@ -43,16 +60,8 @@ TEST_P(SequenceTest, RefinesFromTracking)
   for (std::size_t n = 0; n < sequence.exposures.size(); ++n)
   {
     const RigidTransform& gold = sequence.gold_standard[n].room_from_patient;
-    RegistrationRequest request;
-    for (std::size_t v = 0; v < setup.detectors.size(); ++v)
-    {
-      request.views.push_back(
-          { setup.detectors[v], readXrayImage(sequence.exposures[n].files[v], setup.detectors[v].imageSize()) });
-    }
-    request.intensity = setup.intensity;
-    request.room_from_patient = motionAbout(gold * setup.targetCentre(), randomTwist(random, 1.0, 2.0)) * gold;
+    RegistrationRequest request = requestFor(sequence, n, random);
     request.target_from_rest = target_from_rest;
-    request.time_budget = std::chrono::duration<double>(60.0);
     const RegistrationResult result = registration.run(request);
     ASSERT_EQ(result.status, RegistrationStatus::SUCCESS) << "exposure " << n << ": " << result.reason;
     target_from_rest = result.target_from_rest;
@@ -87,16 +96,7 @@ TEST(LabelMap, RegistersRealWrist)
   {
     const std::size_t exposure = n % sequence.exposures.size();
     const RigidTransform& gold = sequence.gold_standard[exposure].room_from_patient;
-    RegistrationRequest request;
-    for (std::size_t v = 0; v < setup.detectors.size(); ++v)
-    {
-      request.views.push_back(
-          { setup.detectors[v], readXrayImage(sequence.exposures[exposure].files[v], setup.detectors[v].imageSize()) });
-    }
-    request.intensity = setup.intensity;
-    request.room_from_patient = motionAbout(gold * setup.targetCentre(), randomTwist(random, 1.0, 2.0)) * gold;
-    request.time_budget = std::chrono::duration<double>(60.0);
-    const RegistrationResult result = registration.run(request);
+    const RegistrationResult result = registration.run(requestFor(sequence, exposure, random));
     errors.push_back(targetRegistrationError(result.room_from_patient, gold, setup.target_box));
     if (result.status == RegistrationStatus::SUCCESS)
     {
