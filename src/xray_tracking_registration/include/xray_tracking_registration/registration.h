@@ -137,11 +137,11 @@ struct BeliefFigures
 {
   /// Of the target, root mean square over its box's corners, by how far apart what tiles of the images say is [mm].
   double expected_error_mm = 0.0;
-  double least_similarity = 0.0;         ///< of the views' ViewResidual::similarity
+  double least_similarity = 0.0;  ///< of the views' ViewResidual::similarity
   /// Of the views' ViewResidual::coarse_similarity. The probability does not follow from it: it says whether neighbours
   /// have to be looked at.
   double least_coarse_similarity = 0.0;
-  double pull_mm = 0.0;                  ///< the largest of the views' ViewResidual::pull_mm
+  double pull_mm = 0.0;  ///< the largest of the views' ViewResidual::pull_mm
   /// How much more alike the views are than with the target shifted elsewhere, by 5 to 25 mm: mean correlation here and
   /// in the best other place, and in standard deviations of all other places.
   double here = 0.0;
