@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <limits>
 #include <stdexcept>
 #include <string>
 #include <vector>
@@ -45,8 +46,11 @@ void attenuationImage(const cv::Mat& image, const IntensityModel& intensity, cv:
     image.convertTo(attenuation, CV_32F);
     return;
   }
-  double largest = 0.0;
-  cv::minMaxLoc(image, nullptr, &largest);
+  double largest = std::numeric_limits<std::uint8_t>::max();
+  if (image.depth() != CV_8U || !intensity.air_counts)
+  {
+    cv::minMaxLoc(image, nullptr, &largest);
+  }
   const double air = intensity.air_counts.value_or(largest);
   if (!(air > intensity.offset))
   {

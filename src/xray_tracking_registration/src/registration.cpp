@@ -228,8 +228,8 @@ private:
     const RegistrationRequest& request = run.request;
     FineLevel fine = descender_->fineLevel(run, start);
     result.similarity_before = fine.at.meanSimilarity();
-    const std::vector<double>& before = fine.at.similarity;
-    const bool near = *std::min_element(before.begin(), before.end()) >= kNearlyThere;
+    const bool near = std::all_of(fine.at.models.begin(), fine.at.models.end(),
+                                  [](const ViewModel& model) { return model.similarity >= kNearlyThere; });
     const bool by_newton = options_.optimiser == Optimiser::GAUSS_NEWTON;
     const Path first = request.start_verified && by_newton ? Path::SHIFT : Path::COARSE;
     Outcome best =
