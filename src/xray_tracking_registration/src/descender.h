@@ -52,7 +52,7 @@ struct FineLevel
 struct Run
 {
   const RegistrationRequest& request;
-  std::vector<cv::Mat> attenuation;  ///< one a view
+  std::vector<AttenuationImage> attenuation;  ///< one a view
   RunControl& control;
 };
 

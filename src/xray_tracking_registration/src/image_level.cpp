@@ -61,7 +61,7 @@ constexpr int kSample = 1000;          // pixels, at least, where there are as m
 constexpr double kMinGain = 0.05;      // of a model that is not yet like the image
 }  // namespace
 
-ViewLevel::ViewLevel(const ProjectionGeometry& geometry, const cv::Mat& attenuation, const cv::Mat& usable,
+ViewLevel::ViewLevel(const ProjectionGeometry& geometry, const AttenuationImage& attenuation, const cv::Mat& usable,
                      const cv::Rect& region, const Resolution& resolution, const std::vector<PlacedEnds>& ends,
                      double least_share)
   : geometry_(&geometry), resolution_(resolution), blur_(1.0)
@@ -71,7 +71,7 @@ ViewLevel::ViewLevel(const ProjectionGeometry& geometry, const cv::Mat& attenuat
   blur_ = RunningBlur(sigma);
   // Beyond a few bins the border only has to tell the local mean roughly.
   border_ = static_cast<int>(std::ceil(std::min(sigma, 4.0))) + 1;
-  const cv::Rect bins(0, 0, attenuation.cols / bin, attenuation.rows / bin);
+  const cv::Rect bins(0, 0, attenuation.size().width / bin, attenuation.size().height / bin);
   const cv::Point first(static_cast<int>(std::floor(double(region.x) / bin)) - border_,
                         static_cast<int>(std::floor(double(region.y) / bin)) - border_);
   const cv::Point end(static_cast<int>(std::ceil(double(region.x + region.width) / bin)) + border_,

@@ -8,6 +8,7 @@
 #include "bodies.h"
 #include "pixel_rows.h"
 #include "xray_tracking_core/projection/pixel_grid.h"
+#include "xray_tracking_registration/attenuation_image.h"
 
 namespace xray_tracking
 {
@@ -72,7 +73,7 @@ public:
   /// @param least_share of the region that has to be usable and inside the CT, 0 to 1
   /// @throws std::invalid_argument naming the view: region outside the image or too small, constant image, too small a
   ///         share of the region usable and inside the CT
-  ViewLevel(const ProjectionGeometry& geometry, const cv::Mat& attenuation, const cv::Mat& usable,
+  ViewLevel(const ProjectionGeometry& geometry, const AttenuationImage& attenuation, const cv::Mat& usable,
             const cv::Rect& region, const Resolution& resolution, const std::vector<PlacedEnds>& ends = {},
             double least_share = 0.5);
 

@@ -11,7 +11,6 @@
 #include "message.h"
 #include "run_control.h"
 #include "wide_search.h"
-#include "xray_tracking_registration/attenuation_image.h"
 
 namespace xray_tracking
 {
@@ -131,18 +130,18 @@ public:
   std::size_t memory() const { return bodies_->target->memory() + bodies_->rest->memory(); }
 
 private:
-  static std::vector<cv::Mat> attenuationImages(const RegistrationRequest& request)
+  static std::vector<AttenuationImage> attenuationImages(const RegistrationRequest& request)
   {
-    std::vector<cv::Mat> images(request.views.size());
-    for (std::size_t v = 0; v < images.size(); ++v)
+    std::vector<AttenuationImage> images;
+    for (const RegistrationView& view : request.views)
     {
       try
       {
-        attenuationImage(request.views[v].image, request.intensity, images[v]);
+        images.emplace_back(view.image, request.intensity);
       }
       catch (const std::invalid_argument& error)
       {
-        throw std::invalid_argument("view " + request.views[v].geometry.name() + ": " + error.what());
+        throw std::invalid_argument("view " + view.geometry.name() + ": " + error.what());
       }
     }
     return images;
