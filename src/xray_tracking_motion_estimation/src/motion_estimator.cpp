@@ -357,7 +357,7 @@ bool MotionEstimator::judgeConsistency(const Observations& observations, const M
     whiten(observation, motion, whitened);
     estimate.chi_square += whitened.residual.squaredNorm();
     estimate.degrees_of_freedom += static_cast<int>(observation.model);
-    ViewResidual residual;
+    TrackResidual residual;
     residual.view = observation.view;
     residual.pixel = pixels_[observation.view];
     residual.residual = observation.parameters.head<2>() - whitened.warp.head<2>();

@@ -7,7 +7,7 @@
 
 #include <opencv2/imgproc.hpp>
 
-#include "binned_image.h"
+#include "attenuation_bins.h"
 
 namespace xray_tracking
 {
@@ -88,7 +88,7 @@ ViewLevel::ViewLevel(const ProjectionGeometry& geometry, const AttenuationImage&
   }
   const cv::Rect pixels(bordered.x * bin, bordered.y * bin, bordered.width * bin, bordered.height * bin);
   grid_ = PixelGrid::binnedRegion({ pixels.x, pixels.y }, { pixels.width, pixels.height }, bin);
-  const BinnedImage image = binned(attenuation, usable, bordered, bin);
+  const AttenuationBins image = attenuationBins(attenuation, usable, bordered, bin);
   leaveOut(image.share, ends, least_share);
   measured_image_ = highPassed(image.mean).clone();
   measured_ = flattened(measured_image_);

@@ -9,7 +9,7 @@
 #include "xray_tracking_core/sequence/treatment_setup.h"
 #include "xray_tracking_detector_simulator/anatomy.h"
 #include "xray_tracking_detector_simulator/image_formation.h"
-#include "xray_tracking_detector_simulator/motion_model.h"
+#include "xray_tracking_detector_simulator/simulated_motion.h"
 
 namespace xray_tracking
 {
@@ -18,7 +18,7 @@ namespace xray_tracking
 class DetectorSimulator
 {
 public:
-  /// @throws std::invalid_argument or std::runtime_error as MotionModel's and ImageFormation's constructors
+  /// @throws std::invalid_argument or std::runtime_error as SimulatedMotion's and ImageFormation's constructors
   DetectorSimulator(const TreatmentSetup& setup, std::unique_ptr<Anatomy> anatomy, const MotionOptions& motion,
                     const ImageFormationOptions& image, std::uint64_t seed);
 
@@ -32,7 +32,7 @@ public:
 private:
   std::vector<ProjectionGeometry> detectors_;
   std::unique_ptr<Anatomy> anatomy_;
-  MotionModel motion_;
+  SimulatedMotion motion_;
   ImageFormation formation_;
   cv::Mat soft_;
   cv::Mat bone_;

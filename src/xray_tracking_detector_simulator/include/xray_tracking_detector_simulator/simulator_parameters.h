@@ -6,7 +6,7 @@
 #include <ros/node_handle.h>
 
 #include "xray_tracking_detector_simulator/image_formation.h"
-#include "xray_tracking_detector_simulator/motion_model.h"
+#include "xray_tracking_detector_simulator/simulated_motion.h"
 
 namespace xray_tracking
 {

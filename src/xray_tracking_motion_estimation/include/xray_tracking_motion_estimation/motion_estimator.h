@@ -78,7 +78,7 @@ enum class EstimateStatus
 };
 
 /// How far one view's track is from where the estimate puts it.
-struct ViewResidual
+struct TrackResidual
 {
   std::size_t view = 0;
   Eigen::Vector2d residual = Eigen::Vector2d::Zero();    ///< displacement of the region's centre less estimate [px]
@@ -110,7 +110,7 @@ struct MotionEstimate
   double disagreement_mm = 0.0;  ///< the same at the target [mm]
   double chi_square = 0.0;       ///< squared residuals in units of track covariance and floor, rotation in its sigma
   int degrees_of_freedom = 0;    ///< of chi_square: the tracks' parameters less three
-  boost::container::static_vector<ViewResidual, kMaxViews> residuals;  ///< of the views that took part
+  boost::container::static_vector<TrackResidual, kMaxViews> residuals;  ///< of the views that took part
 };
 
 /// From 2D tracks in two or more views to the 3D motion of the target (paper, section 2).

@@ -49,7 +49,7 @@ struct MotionOptions
 /// The poses of target and rest in every exposure. Motions since exposure 0 are twists about the target's centre in
 /// room axes (motionAbout); bounded smoothly: |shift| < max_shift_mm, angle < max_rotation_deg. In exposure 0 both
 /// bodies have exactly the given pose. A pose depends on (options, seed, exposure) alone.
-class MotionModel
+class SimulatedMotion
 {
 public:
   /// @param room_from_patient pose at exposure 0; @param target_centre patient frame [mm]
@@ -57,8 +57,8 @@ public:
   /// file is a sequence folder's gold_standard.csv: absolute room_T_patient, one row an exposure, stamps growing, the
   /// first row equal to `room_from_patient` (to 0.01 mm and 0.01 degrees). Its poses are used as they are, without the
   /// bounds; beyond its end the last one stays.
-  MotionModel(const MotionOptions& options, const RigidTransform& room_from_patient,
-              const Eigen::Vector3d& target_centre, std::uint64_t seed);
+  SimulatedMotion(const MotionOptions& options, const RigidTransform& room_from_patient,
+                  const Eigen::Vector3d& target_centre, std::uint64_t seed);
 
   /// @param exposure index, from 0
   BodyPoses poses(int exposure) const;

@@ -1,4 +1,4 @@
-#include "xray_tracking_detector_simulator/motion_model.h"
+#include "xray_tracking_detector_simulator/simulated_motion.h"
 
 #include <cmath>
 #include <filesystem>
@@ -30,7 +30,7 @@ protected:
     turning_.amplitude_deg = { 1.0, -0.5, 0.8 };
   }
 
-  MotionModel model(const MotionOptions& options, std::uint64_t seed = 1) const
+  SimulatedMotion model(const MotionOptions& options, std::uint64_t seed = 1) const
   {
     return { options, setup_.room_from_patient, setup_.targetCentre(), seed };
   }
@@ -48,7 +48,7 @@ protected:
 
   std::string writeFile(const std::string& text) const
   {
-    const std::string path = (std::filesystem::path(testing::TempDir()) / "motion_model_test.csv").string();
+    const std::string path = (std::filesystem::path(testing::TempDir()) / "simulated_motion_test.csv").string();
     std::ofstream(path) << text;
     return path;
   }
@@ -236,7 +236,7 @@ TEST_F(MotionModelTest, PosesOfAFileComeBack)
   options.rest_jitter_mm = 0.0;
   options.rest_share = 0.5;
   options.max_shift_mm = 1.0;  // of no account for a file
-  const MotionModel model = this->model(options);
+  const SimulatedMotion model = this->model(options);
   EXPECT_EQ(model.poses(0).room_from_target.matrix(), setup_.room_from_patient.matrix());
   for (int i = 1; i < 8; ++i)
   {
@@ -249,7 +249,7 @@ TEST_F(MotionModelTest, PosesOfAFileComeBack)
 TEST_F(MotionModelTest, BadFilesAreRefusedWithTheirName)
 {
   const std::string first = row(0.0, setup_.room_from_patient);
-  const std::string name = "motion_model_test.csv";
+  const std::string name = "simulated_motion_test.csv";
   const auto expectRefused = [&](const std::string& text, const std::string& part)
   {
     expectThrowNaming<std::runtime_error>(name, [&] { model(fromFile(text)); });

@@ -1,13 +1,14 @@
-#include "binned_image.h"
+#include "attenuation_bins.h"
 
 #include <opencv2/imgproc.hpp>
 
 namespace xray_tracking
 {
-BinnedImage binned(const AttenuationImage& attenuation, const cv::Mat& usable, const cv::Rect& bins, int edge)
+AttenuationBins attenuationBins(const AttenuationImage& attenuation, const cv::Mat& usable, const cv::Rect& bins,
+                                int edge)
 {
   const cv::Rect pixels(bins.tl() * edge, bins.size() * edge);
-  BinnedImage image;
+  AttenuationBins image;
   if (usable.empty() || cv::countNonZero(usable(pixels)) == pixels.area())
   {
     cv::resize(attenuation(pixels), image.mean, bins.size(), 0.0, 0.0, cv::INTER_AREA);

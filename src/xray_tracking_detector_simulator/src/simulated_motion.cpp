@@ -1,4 +1,4 @@
-#include "xray_tracking_detector_simulator/motion_model.h"
+#include "xray_tracking_detector_simulator/simulated_motion.h"
 
 #include <algorithm>
 #include <array>
@@ -131,8 +131,8 @@ void MotionOptions::validate() const
                 "the path of a table of poses");
 }
 
-MotionModel::MotionModel(const MotionOptions& options, const RigidTransform& room_from_patient,
-                         const Eigen::Vector3d& target_centre, std::uint64_t seed)
+SimulatedMotion::SimulatedMotion(const MotionOptions& options, const RigidTransform& room_from_patient,
+                                 const Eigen::Vector3d& target_centre, std::uint64_t seed)
   : options_(options),
     room_from_patient_(room_from_patient),
     room_centre_(room_from_patient * target_centre),
@@ -146,7 +146,7 @@ MotionModel::MotionModel(const MotionOptions& options, const RigidTransform& roo
   }
 }
 
-double MotionModel::profile(int exposure, int axis) const
+double SimulatedMotion::profile(int exposure, int axis) const
 {
   const double phase = exposure / options_.period;
   switch (options_.type)
@@ -177,7 +177,7 @@ double MotionModel::profile(int exposure, int axis) const
   return 0.0;
 }
 
-Twist MotionModel::targetTwist(int exposure) const
+Twist SimulatedMotion::targetTwist(int exposure) const
 {
   Eigen::Vector3d shift;
   Eigen::Vector3d rotation;
@@ -191,7 +191,7 @@ Twist MotionModel::targetTwist(int exposure) const
   return twist;
 }
 
-BodyPoses MotionModel::poses(int exposure) const
+BodyPoses SimulatedMotion::poses(int exposure) const
 {
   if (exposure <= 0)
   {
