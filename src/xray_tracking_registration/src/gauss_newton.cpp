@@ -49,6 +49,13 @@ Eigen::VectorXf pixelWeights(const ViewLevel& view, const Eigen::VectorXf& resid
   return (variance > 0.0f ? (weights / variance).eval() : weights).cwiseQuotient(shape);
 }
 
+/// By how much a model has to be multiplied to be nearest to an image by these weights.
+float scaleOf(const Eigen::VectorXf& model, const Eigen::VectorXf& image, const Eigen::VectorXf& weights)
+{
+  const Eigen::VectorXf weighted = weights.cwiseProduct(model);
+  return weighted.dot(image) / std::max(weighted.dot(model), 1e-12f);
+}
+
 /// Whether a step moves the target by next to nothing.
 bool isSmall(const Eigen::VectorXd& step)
 {
@@ -71,7 +78,10 @@ double Linearisation::cost(const std::vector<ViewLevel>& views, const std::vecto
   double sum = 0.0;
   for (std::size_t v = 0; v < views.size(); ++v)
   {
-    sum += (views[v].measured() - models[v].image).cwiseAbs2().dot(by[v]);
+    // At the model's best scale by these weights: along it the cost is flat, so that the gradient need not know of it.
+    sum += (views[v].measured() - scaleOf(models[v].image, views[v].measured(), by[v]) * models[v].image)
+               .cwiseAbs2()
+               .dot(by[v]);
   }
   return sum;
 }
@@ -91,6 +101,9 @@ Linearisation linearise(const std::vector<ViewLevel>& views, const Bodies& bodie
                             kDeformation * kDeformation * model.derivatives.middleCols<3>(9).rowwise().squaredNorm();
                       }
                       at.weights[v] = pixelWeights(views[v], views[v].measured() - model.image, deformation);
+                      const float scale = scaleOf(model.image, views[v].measured(), at.weights[v]);
+                      model.image *= scale;
+                      model.derivatives *= scale;
                     });
   return at;
 }
