@@ -35,7 +35,7 @@ constexpr double kOffset = 0.137;
 /// What results near a right start are more probable by than the figures of all starts say: learnt on starts within 5
 /// mm and 3 degrees. A start that is verified is no worse.
 constexpr double kNearVerified = 0.75;
-const std::array<Term, 5> kTerms = { {
+const std::array<Term, 6> kTerms = { {
     { "expected error", [](const BeliefFigures& f) { return std::log(std::max(f.expected_error_mm, 0.1)); }, -0.564,
       -1.94 },
     { "similarity", [](const BeliefFigures& f) { return stretched(f.least_similarity); }, 0.439, 1.81 },
@@ -43,6 +43,7 @@ const std::array<Term, 5> kTerms = { {
       -0.294 },
     { "distinctness", [](const BeliefFigures& f) { return std::log(std::max(f.distinctness, 0.5)); }, 1.85, 1.35 },
     { "margin over other places", [](const BeliefFigures& f) { return ratioOf(f); }, 0.167, 3.91 },
+    { "similarity aside", [](const BeliefFigures& f) { return std::clamp(f.loss_aside, -0.05, 0.1); }, 0.07, 10.0 },
 } };
 
 /// How probable it is that an error of the expected size, along one direction, stays below the limit.

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 #include <stdexcept>
 
 #include "belief.h"
@@ -15,6 +16,7 @@ namespace xray_tracking
 {
 namespace
 {
+constexpr double kAside = 3.0;  // where less alike is asked for: twice what a believed result is off by [mm]
 constexpr double kShift = 8.0;  // what Path::SHIFT looks for, at most [mm]
 constexpr Resolution kMedium{ 1.1, 3.5 };
 constexpr Resolution kShifted{ 2.2, 3.5 };
@@ -219,6 +221,23 @@ void Descender::descendDerivativeFree(const Run& run, PosePair& poses) const
                          run.control, poses);
 }
 
+double Descender::lossAside(const FineLevel& fine, const Outcome& outcome) const
+{
+  if (!outcome.covariance.allFinite() || !(outcome.similarity > 0.0))
+  {
+    return 0.0;
+  }
+  const Twist aside = kAside * leastKnown(outcome.covariance, outcome.poses.target, box_);
+  double most = -1.0;
+  for (const double side : { -1.0, 1.0 })
+  {
+    const std::vector<double> there =
+        similarities(fine.views, bodies_, moved(outcome.poses, side * aside, bodies_.centre, Moving::TARGET));
+    most = std::max(most, std::accumulate(there.begin(), there.end(), 0.0) / static_cast<double>(there.size()));
+  }
+  return 1.0 - most / outcome.similarity;
+}
+
 void Descender::judge(const Run& run, const FineLevel& fine, Outcome& outcome) const
 {
   const RestPrior prior = priorOf(run);
@@ -243,6 +262,7 @@ void Descender::judge(const Run& run, const FineLevel& fine, Outcome& outcome) c
   figures.here = distinctness.here;
   figures.rival = distinctness.rival;
   figures.distinctness = distinctness.z;
+  figures.loss_aside = lossAside(fine, outcome);
   outcome.probability = probabilityOf(figures, nearVerifiedStart(run, poses.target));
   const bool known = outcome.covariance.allFinite() &&
                      std::all_of(outcome.views.begin(), outcome.views.end(),

@@ -18,6 +18,7 @@ BeliefFigures middling()
   figures.here = 0.5;
   figures.rival = 0.38;
   figures.distinctness = 8.0;
+  figures.loss_aside = 0.05;
   return figures;
 }
 }  // namespace
@@ -37,13 +38,15 @@ TEST(Belief, EveryFigureSpeaksAsItsMeaningHasIt)
   EXPECT_GT(changed(&BeliefFigures::least_similarity, 0.7), probability);
   EXPECT_GT(changed(&BeliefFigures::distinctness, 14.0), probability);
   EXPECT_LT(changed(&BeliefFigures::rival, 0.48), probability);
+  EXPECT_LT(changed(&BeliefFigures::loss_aside, -0.01), probability);
 }
 
 TEST(Belief, NothingIsBelievedOfFiguresThatAreNotThere)
 {
   EXPECT_LT(probabilityOf(BeliefFigures()), 0.5);
   for (double BeliefFigures::*figure : { &BeliefFigures::expected_error_mm, &BeliefFigures::least_similarity,
-                                         &BeliefFigures::pull_mm, &BeliefFigures::distinctness })
+                                         &BeliefFigures::pull_mm, &BeliefFigures::distinctness,
+                                         &BeliefFigures::loss_aside })
   {
     BeliefFigures figures = middling();
     figures.*figure = std::numeric_limits<double>::quiet_NaN();

@@ -15,6 +15,7 @@ import numpy
 BELIEVED_TRE_MM = 1.5  # what a believed result is not off by; kBelievedError of registration.h
 RIGHT_TRE_MM = 1.0
 LEARNT_ERROR_MM = 1.0
+NEW_RIDGE = 1.0  # penalty on the normalised weight of a term that had none before
 AS_GOOD = 0.92  # share of a result's similarity from which on a rival is as good; kAsGood of descender.cpp
 
 
@@ -32,14 +33,15 @@ def margin(row):
     return min(max((row['here'] - row['rival']) / row['here'], -0.2), 0.4)
 
 
-# The terms of belief.cpp: name, what the model is given of the figures, and the sign that its weight must have: +1 if
-# more of it speaks for the result, -1 if against.
+# The terms of belief.cpp: name, what the model is given of the figures, the sign that its weight must have (+1 if more
+# of it speaks for the result, -1 if against), and the weight that was learnt before, 0 if none was.
 TERMS = (
-    ('expected error', lambda row: log_of(row['expected_error_mm'], 0.1), -1),
-    ('similarity', lambda row: stretched(row['least_similarity']), 1),
-    ("views' disagreement", lambda row: log_of(row['pull_mm'], 0.03), -1),
-    ('distinctness', lambda row: log_of(row['distinctness'], 0.5), 1),
-    ('margin over other places', margin, 1),
+    ('expected error', lambda row: log_of(row['expected_error_mm'], 0.1), -1, -1.94),
+    ('similarity', lambda row: stretched(row['least_similarity']), 1, 1.81),
+    ("views' disagreement", lambda row: log_of(row['pull_mm'], 0.03), -1, -0.294),
+    ('distinctness', lambda row: log_of(row['distinctness'], 0.5), 1, 1.35),
+    ('margin over other places', margin, 1, 3.91),
+    ('similarity aside', lambda row: min(max(row['loss_aside'], -0.05), 0.1), 1, 0.0),
 )
 
 
@@ -55,7 +57,7 @@ def read_table(path):
 
 
 def features(rows):
-    return numpy.array([[figure(row) for _, figure, _ in TERMS] for row in rows])
+    return numpy.array([[figure(row) for _, figure, _, _ in TERMS] for row in rows])
 
 
 def errors(rows):
@@ -91,15 +93,17 @@ def fit(rows, ridge):
     values, right = features(rows), errors(rows) < BELIEVED_TRE_MM
     mean, deviation = values.mean(axis=0), values.std(axis=0) + 1e-9
     scaled = numpy.column_stack([numpy.ones(len(values)), (values - mean) / deviation])
-    signs = numpy.array([sign for _, _, sign in TERMS])
+    signs = numpy.array([sign for _, _, sign, _ in TERMS])
+    weights = numpy.array([weight for _, _, _, weight in TERMS])
     used = numpy.ones(scaled.shape[1], bool)
     while True:
         part = scaled[:, used]
-        penalty = numpy.diag([0.0] + [ridge] * (part.shape[1] - 1))
-        theta = numpy.zeros(part.shape[1])
+        penalty = numpy.diag(numpy.array([0.0] + [ridge if weight else NEW_RIDGE for weight in weights])[used])
+        before = numpy.concatenate([[0.0], weights * deviation])[used]
+        theta = before.copy()
         for _ in range(100):
             p = 1.0 / (1.0 + numpy.exp(-numpy.clip(part @ theta, -50.0, 50.0)))
-            gradient = part.T @ (right - p) - penalty @ theta
+            gradient = part.T @ (right - p) - penalty @ (theta - before)
             step = numpy.linalg.solve((part * (p * (1.0 - p))[:, None]).T @ part + penalty, gradient)
             theta += step * min(1.0, 2.0 / numpy.abs(step).max())
             if numpy.abs(step).max() < 1e-8:
@@ -151,7 +155,8 @@ def main():
     parser.add_argument('learn', nargs='+', metavar='CSV', help='tables to learn on')
     parser.add_argument('--judge', nargs='*', default=[], metavar='NAME=CSV', help='tables to judge by')
     parser.add_argument('--threshold', type=float, default=0.95, help='probability from which a result is believed')
-    parser.add_argument('--ridge', type=float, default=1.0, help='penalty on coefficients of normalised figures')
+    parser.add_argument('--ridge', type=float, default=30.0,
+                        help='penalty on how far weights of normalised figures are from those before')
     parser.add_argument('--picture', help='image file for the reliability diagram of the judged tables')
     arguments = parser.parse_args()
     # Of depth one view alone knows little: its results are right or wrong by chance, whatever the figures say.
@@ -160,7 +165,7 @@ def main():
     centres = features(rows).mean(axis=0)
     print('offset %.3g' % (coefficients[0] + coefficients[1:] @ centres))
     print('%-28s %8s %8s' % ('term', 'centre', 'weight'))
-    for (name, _, _), centre, weight in zip(TERMS, centres, coefficients[1:]):
+    for (name, _, _, _), centre, weight in zip(TERMS, centres, coefficients[1:]):
         print('%-28s %8.3g %8.3g' % (name, centre, weight))
     print('\n%-28s %5s %7s %8s %7s %8s   %s' % ('', 'n', '< 1 mm', 'bel. %', '> 1.5', 'believed', 'Brier'))
     judge('learnt on', rows, probabilities(coefficients, rows), arguments.threshold)

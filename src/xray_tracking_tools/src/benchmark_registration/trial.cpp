@@ -91,7 +91,7 @@ void writeTrials(const std::vector<Trial>& trials, const std::string& path)
 {
   std::ofstream file(path);
   file << "subject,kind,views,start_mm,start_deg,tre_mm,angle_deg,status,cpu_ms,probability,rival_share,"
-          "expected_error_mm,least_similarity,least_coarse_similarity,pull_mm,here,rival,distinctness\n";
+          "expected_error_mm,least_similarity,least_coarse_similarity,pull_mm,here,rival,distinctness,loss_aside\n";
   for (const Trial& trial : trials)
   {
     std::string subject = trial.subject;
@@ -104,7 +104,7 @@ void writeTrials(const std::vector<Trial>& trials, const std::string& path)
          << static_cast<int>(result.status) << ',' << trial.cpu_ms << ',' << result.probability << ',' << rival_share
          << ',' << figures.expected_error_mm << ',' << figures.least_similarity << ','
          << figures.least_coarse_similarity << ',' << figures.pull_mm << ',' << figures.here << ',' << figures.rival
-         << ',' << figures.distinctness << '\n';
+         << ',' << figures.distinctness << ',' << figures.loss_aside << '\n';
   }
   if (!file.flush())
   {
