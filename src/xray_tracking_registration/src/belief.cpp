@@ -31,19 +31,18 @@ double ratioOf(const BeliefFigures& figures)
 
 constexpr double kLeast = 1e-4;
 /// docs/belief.md says on what these were learnt and judged; fit_belief.py prints them.
-constexpr double kOffset = 0.137;
+constexpr double kOffset = 0.272;
 /// What results near a right start are more probable by than the figures of all starts say: learnt on starts within 5
 /// mm and 3 degrees. A start that is verified is no worse.
-constexpr double kNearVerified = 0.75;
+constexpr double kNearVerified = 0.4;
 const std::array<Term, 6> kTerms = { {
-    { "expected error", [](const BeliefFigures& f) { return std::log(std::max(f.expected_error_mm, 0.1)); }, -0.564,
-      -1.94 },
-    { "similarity", [](const BeliefFigures& f) { return stretched(f.least_similarity); }, 0.439, 1.81 },
-    { "views' disagreement", [](const BeliefFigures& f) { return std::log(std::max(f.pull_mm, 0.03)); }, -1.74,
-      -0.294 },
-    { "distinctness", [](const BeliefFigures& f) { return std::log(std::max(f.distinctness, 0.5)); }, 1.85, 1.35 },
-    { "margin over other places", [](const BeliefFigures& f) { return ratioOf(f); }, 0.167, 3.91 },
-    { "similarity aside", [](const BeliefFigures& f) { return std::clamp(f.loss_aside, -0.05, 0.1); }, 0.07, 10.0 },
+    { "expected error", [](const BeliefFigures& f) { return std::log(std::max(f.expected_error_mm, 0.1)); }, -0.542,
+      -1.74 },
+    { "similarity", [](const BeliefFigures& f) { return stretched(f.least_similarity); }, 0.576, 1.66 },
+    { "views' disagreement", [](const BeliefFigures& f) { return std::log(std::max(f.pull_mm, 0.03)); }, -1.71, -0.36 },
+    { "distinctness", [](const BeliefFigures& f) { return std::log(std::max(f.distinctness, 0.5)); }, 1.97, 0.881 },
+    { "margin over other places", [](const BeliefFigures& f) { return ratioOf(f); }, 0.249, 4.8 },
+    { "similarity aside", [](const BeliefFigures& f) { return std::clamp(f.loss_aside, -0.05, 0.1); }, 0.061, 14.1 },
 } };
 
 /// How probable it is that an error of the expected size, along one direction, stays below the limit.
