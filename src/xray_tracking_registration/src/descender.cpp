@@ -40,6 +40,10 @@ const Twist kRestFollowed = 16.0 * kRestInformation;
 constexpr double kAsGood = 0.92;
 /// Half a neck's vertebra [mm].
 constexpr double kSamePlace = 9.0;
+/// A view that is less alike does not show what the others do, however alike these are: an image of another exposure
+/// was believed for two views that agreed. Right results that are believed have 0.2 and more (random subjects), 0.36 on
+/// real images.
+constexpr double kShown = 0.1;
 /// Wrong results of one body, where the rest had moved by 14 mm, reach 0.62 and look right otherwise (phantom, C3 to
 /// C5).
 constexpr double kOneBody = 0.7;
@@ -277,6 +281,12 @@ void Descender::judge(const Run& run, const FineLevel& fine, Outcome& outcome) c
   {
     outcome.doubt = message("probability is ", outcome.probability, ", below ", options_.min_probability,
                             "; what speaks against it most is the ", mostDoubtful(figures));
+  }
+  else if (figures.least_similarity < kShown)
+  {
+    doubtFor(message("a view's similarity is ", figures.least_similarity, ", below ", kShown,
+                     ": it does not show what the others do"),
+             outcome);
   }
   else if (bodies_.surrounded && figures.least_similarity < kOneBody)
   {
