@@ -31,21 +31,21 @@ double ratioOf(const BeliefFigures& figures)
 
 constexpr double kLeast = 1e-4;
 /// docs/belief.md says on what these were learnt and judged; fit_belief.py prints them.
-constexpr double kOffset = 1.21;
+constexpr double kOffset = 1.01;
 /// What results near a right start are more probable by than the figures of all starts say: learnt on starts within 5
 /// mm and 3 degrees, rounded down from 1.2. A start that is verified is no worse.
 constexpr double kNearVerified = 1.0;
 const std::array<Term, 5> kTerms = { {
-    { "expected error", [](const BeliefFigures& f) { return std::log(std::max(f.expected_error_mm, 0.1)); }, -0.542,
-      -1.92 },
-    { "similarity", [](const BeliefFigures& f) { return stretched(f.least_similarity); }, 0.576, 1.85 },
-    { "views' disagreement", [](const BeliefFigures& f) { return std::log(std::max(f.pull_mm, 0.03)); }, -1.71,
-      -0.273 },
-    { "distinctness", [](const BeliefFigures& f) { return std::log(std::max(f.distinctness, 0.5)); }, 1.97, 1.3 },
-    { "margin over other places", [](const BeliefFigures& f) { return ratioOf(f); }, 0.249, 4.52 },
+    { "expected error", [](const BeliefFigures& f) { return std::log(std::max(f.expected_error_mm, 0.1)); }, -0.563,
+      -1.91 },
+    { "similarity", [](const BeliefFigures& f) { return stretched(f.least_similarity); }, 0.62, 1.61 },
+    { "views' disagreement", [](const BeliefFigures& f) { return std::log(std::max(f.pull_mm, 0.03)); }, -1.77,
+      -0.333 },
+    { "distinctness", [](const BeliefFigures& f) { return std::log(std::max(f.distinctness, 0.5)); }, 2, 1.34 },
+    { "margin over other places", [](const BeliefFigures& f) { return ratioOf(f); }, 0.256, 4.21 },
 } };
 const Term kAside{ "similarity aside", [](const BeliefFigures& f) { return std::clamp(f.loss_aside, -0.05, 0.07); },
-                   0.00776, 79.0 };
+                   0.0104, 93.6 };
 
 double logistic(double odds)
 {
