@@ -10,7 +10,7 @@ namespace xray_tracking
 {
 namespace
 {
-/// One term of the log odds: weight * (transform(figure) - centre).
+/// One term of log odds: weight * (transform(figure) - centre).
 struct Term
 {
   const char* name;
@@ -31,19 +31,48 @@ double ratioOf(const BeliefFigures& figures)
 
 constexpr double kLeast = 1e-4;
 /// docs/belief.md says on what these were learnt and judged; fit_belief.py prints them.
-constexpr double kOffset = 0.137;
+constexpr double kOffset = 1.01;
 /// What results near a right start are more probable by than the figures of all starts say: learnt on starts within 5
-/// mm and 3 degrees. A start that is verified is no worse.
-constexpr double kNearVerified = 0.75;
+/// mm and 3 degrees, rounded down from 1.2. A start that is verified is no worse.
+constexpr double kNearVerified = 1.0;
 const std::array<Term, 5> kTerms = { {
-    { "expected error", [](const BeliefFigures& f) { return std::log(std::max(f.expected_error_mm, 0.1)); }, -0.564,
-      -1.94 },
-    { "similarity", [](const BeliefFigures& f) { return stretched(f.least_similarity); }, 0.439, 1.81 },
-    { "views' disagreement", [](const BeliefFigures& f) { return std::log(std::max(f.pull_mm, 0.03)); }, -1.74,
-      -0.294 },
-    { "distinctness", [](const BeliefFigures& f) { return std::log(std::max(f.distinctness, 0.5)); }, 1.85, 1.35 },
-    { "margin over other places", [](const BeliefFigures& f) { return ratioOf(f); }, 0.167, 3.91 },
+    { "expected error", [](const BeliefFigures& f) { return std::log(std::max(f.expected_error_mm, 0.1)); }, -0.563,
+      -1.91 },
+    { "similarity", [](const BeliefFigures& f) { return stretched(f.least_similarity); }, 0.62, 1.61 },
+    { "views' disagreement", [](const BeliefFigures& f) { return std::log(std::max(f.pull_mm, 0.03)); }, -1.77,
+      -0.333 },
+    { "distinctness", [](const BeliefFigures& f) { return std::log(std::max(f.distinctness, 0.5)); }, 2, 1.34 },
+    { "margin over other places", [](const BeliefFigures& f) { return ratioOf(f); }, 0.256, 4.21 },
 } };
+const Term kAside{ "similarity aside", [](const BeliefFigures& f) { return std::clamp(f.loss_aside, -0.05, 0.07); },
+                   0.0104, 93.6 };
+
+double logistic(double odds)
+{
+  return 1.0 / (1.0 + std::exp(-odds));
+}
+
+double oddsOf(const Term& term, const BeliefFigures& figures)
+{
+  return term.weight * (term.of(figures) - term.centre);
+}
+
+/// How probable it is that the place is right.
+double atPlace(const BeliefFigures& figures, bool near_verified)
+{
+  double odds = kOffset + (near_verified ? kNearVerified : 0.0);
+  for (const Term& term : kTerms)
+  {
+    odds += oddsOf(term, figures);
+  }
+  return logistic(odds);
+}
+
+/// How probable it is that the target is kept there, if the place is right.
+double kept(const BeliefFigures& figures)
+{
+  return logistic(oddsOf(kAside, figures));
+}
 
 /// How probable it is that an error of the expected size, along one direction, stays below the limit.
 double within(double expected_error_mm)
@@ -54,24 +83,19 @@ double within(double expected_error_mm)
 
 double probabilityOf(const BeliefFigures& figures, bool near_verified)
 {
-  double odds = kOffset + (near_verified ? kNearVerified : 0.0);
-  for (const Term& term : kTerms)
-  {
-    odds += term.weight * (term.of(figures) - term.centre);
-  }
-  // At the right place, and not too far off there. Neither 0 nor 1: nothing was learnt from so many that more could be
-  // said.
-  const double probability =
-      std::clamp(within(figures.expected_error_mm) / (1.0 + std::exp(-odds)), kLeast, 1.0 - kLeast);
-  return std::isfinite(odds) ? probability : 0.0;
+  const double probability = within(figures.expected_error_mm) * atPlace(figures, near_verified) * kept(figures);
+  // Neither 0 nor 1: nothing was learnt from so many that more could be said.
+  return std::isfinite(probability) ? std::clamp(probability, kLeast, 1.0 - kLeast) : 0.0;
 }
 
 std::string mostDoubtful(const BeliefFigures& figures)
 {
-  const Term& worst =
-      *std::min_element(kTerms.begin(), kTerms.end(),
-                        [&](const Term& a, const Term& b)
-                        { return a.weight * (a.of(figures) - a.centre) < b.weight * (b.of(figures) - b.centre); });
-  return worst.name;
+  if (kept(figures) < atPlace(figures, false))
+  {
+    return kAside.name;
+  }
+  return std::min_element(kTerms.begin(), kTerms.end(),
+                          [&](const Term& a, const Term& b) { return oddsOf(a, figures) < oddsOf(b, figures); })
+      ->name;
 }
 }  // namespace xray_tracking

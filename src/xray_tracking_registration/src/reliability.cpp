@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include <Eigen/Cholesky>
+#include <Eigen/Eigenvalues>
 #include <Eigen/Geometry>
 
 namespace xray_tracking
@@ -35,6 +36,24 @@ Eigen::VectorXd tileGradient(const ViewLevel& view, const Linearisation& at, std
   gradient[model.twists + static_cast<Eigen::Index>(v)] = sum[model.twists];
   return gradient;
 }
+
+/// Quadratic form of a twist about the box's centre in the room: how far it moves the box's corners, mean square
+/// [mm^2].
+Eigen::Matrix<double, 6, 6> squaredMotion(const RigidTransform& room_from_patient, const Eigen::AlignedBox3d& box)
+{
+  Eigen::Matrix<double, 6, 6> sum = Eigen::Matrix<double, 6, 6>::Zero();
+  for (int corner = 0; corner < 8; ++corner)
+  {
+    const Eigen::Vector3d arm =
+        room_from_patient.linear() * (box.corner(static_cast<Eigen::AlignedBox3d::CornerType>(corner)) - box.center());
+    Eigen::Matrix<double, 3, 6> moves;
+    moves << 0.0, arm.z(), -arm.y(), 1.0, 0.0, 0.0,  //
+        -arm.z(), 0.0, arm.x(), 0.0, 1.0, 0.0,       //
+        arm.y(), -arm.x(), 0.0, 0.0, 0.0, 1.0;
+    sum += moves.transpose() * moves;
+  }
+  return sum / 8.0;
+}
 }  // namespace
 
 Eigen::Matrix<double, 6, 6> poseCovariance(const std::vector<ViewLevel>& views, const Linearisation& at,
@@ -61,18 +80,16 @@ Eigen::Matrix<double, 6, 6> poseCovariance(const std::vector<ViewLevel>& views, 
 double expectedError(const Eigen::Matrix<double, 6, 6>& covariance, const RigidTransform& room_from_patient,
                      const Eigen::AlignedBox3d& box)
 {
-  double sum = 0.0;
-  for (int corner = 0; corner < 8; ++corner)
-  {
-    const Eigen::Vector3d arm =
-        room_from_patient.linear() * (box.corner(static_cast<Eigen::AlignedBox3d::CornerType>(corner)) - box.center());
-    Eigen::Matrix<double, 3, 6> moves;
-    moves << 0.0, arm.z(), -arm.y(), 1.0, 0.0, 0.0,  //
-        -arm.z(), 0.0, arm.x(), 0.0, 1.0, 0.0,       //
-        arm.y(), -arm.x(), 0.0, 0.0, 0.0, 1.0;
-    sum += (moves * covariance * moves.transpose()).trace();
-  }
-  return std::sqrt(sum / 8.0);
+  return std::sqrt((squaredMotion(room_from_patient, box) * covariance).trace());
+}
+
+Twist leastKnown(const Eigen::Matrix<double, 6, 6>& covariance, const RigidTransform& room_from_patient,
+                 const Eigen::AlignedBox3d& box)
+{
+  const Eigen::Matrix<double, 6, 6> motion = squaredMotion(room_from_patient, box);
+  return Eigen::GeneralizedSelfAdjointEigenSolver<Eigen::Matrix<double, 6, 6>>(motion * covariance * motion, motion)
+      .eigenvectors()
+      .col(5);
 }
 
 std::vector<ViewResidual> viewResiduals(const std::vector<ViewLevel>& views, const Linearisation& at,

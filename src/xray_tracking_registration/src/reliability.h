@@ -15,6 +15,11 @@ Eigen::Matrix<double, 6, 6> poseCovariance(const std::vector<ViewLevel>& views, 
 std::vector<ViewResidual> viewResiduals(const std::vector<ViewLevel>& views, const Linearisation& at,
                                         const Eigen::Vector3d& room_centre);
 
+/// The motion of the target, by 1 mm root mean square over its box, along which its pose is known least: a twist about
+/// its centre in the room [rad, mm].
+Twist leastKnown(const Eigen::Matrix<double, 6, 6>& covariance, const RigidTransform& room_from_patient,
+                 const Eigen::AlignedBox3d& box);
+
 /// Root mean square over the box's corners of what the pose's covariance moves them by [mm].
 /// @param box in the patient frame, about whose centre the covariance is
 double expectedError(const Eigen::Matrix<double, 6, 6>& covariance, const RigidTransform& room_from_patient,

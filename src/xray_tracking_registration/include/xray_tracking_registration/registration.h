@@ -147,6 +147,9 @@ struct BeliefFigures
   double here = 0.0;
   double rival = 0.0;
   double distinctness = 0.0;
+  /// Share of the similarity that is lost with the target 3 mm aside, to that side of what its pose is known least
+  /// along on which less is lost: below 0 where it would be more alike.
+  double loss_aside = 0.0;
 };
 
 /// Another place that was found, and is not the answer.

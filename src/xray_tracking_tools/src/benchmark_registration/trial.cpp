@@ -8,6 +8,7 @@
 
 #include "starts.h"
 #include "xray_tracking_core/evaluation/evaluation.h"
+#include "xray_tracking_registration/usable_pixels.h"
 #include "xray_tracking_tools/command_line.h"
 
 namespace xray_tracking
@@ -36,9 +37,17 @@ RegistrationRequest requestFor(const ExposureSet& exposures, std::size_t index, 
   return request;
 }
 
-Trial tryRegistration(const Registration& registration, const RegistrationRequest& request, const RigidTransform& gold,
+Trial tryRegistration(const Registration& registration, RegistrationRequest request, const RigidTransform& gold,
                       const Eigen::AlignedBox3d& box)
 {
+  try
+  {
+    UsablePixels().apply(0, request);
+  }
+  catch (const std::invalid_argument& error)
+  {
+    throw std::runtime_error(error.what());
+  }
   const double cpu = cpuMilliseconds();
   RegistrationResult result = registration.run(request);
   const double cpu_ms = cpuMilliseconds() - cpu;
@@ -81,8 +90,8 @@ std::vector<Trial> registerAll(const Subject& subject, const Registration& regis
 void writeTrials(const std::vector<Trial>& trials, const std::string& path)
 {
   std::ofstream file(path);
-  file << "subject,kind,views,start_mm,start_deg,tre_mm,angle_deg,status,cpu_ms,probability,rival_share,expected_error_mm,"
-          "least_similarity,least_coarse_similarity,pull_mm,here,rival,distinctness\n";
+  file << "subject,kind,views,start_mm,start_deg,tre_mm,angle_deg,status,cpu_ms,probability,rival_share,"
+          "expected_error_mm,least_similarity,least_coarse_similarity,pull_mm,here,rival,distinctness,loss_aside\n";
   for (const Trial& trial : trials)
   {
     std::string subject = trial.subject;
@@ -92,10 +101,10 @@ void writeTrials(const std::vector<Trial>& trials, const std::string& path)
     const double rival_share = result.rivals.empty() ? 0.0 : result.rivals.front().similarity / result.similarity_after;
     file << subject << ',' << trial.kind << ',' << result.views.size() << ',' << trial.start_error << ','
          << trial.start_angle / kDegree << ',' << trial.error << ',' << trial.angle / kDegree << ','
-         << static_cast<int>(result.status) << ',' << trial.cpu_ms << ',' << result.probability << ','
-         << rival_share << ',' << figures.expected_error_mm << ',' << figures.least_similarity << ','
+         << static_cast<int>(result.status) << ',' << trial.cpu_ms << ',' << result.probability << ',' << rival_share
+         << ',' << figures.expected_error_mm << ',' << figures.least_similarity << ','
          << figures.least_coarse_similarity << ',' << figures.pull_mm << ',' << figures.here << ',' << figures.rival
-         << ',' << figures.distinctness << '\n';
+         << ',' << figures.distinctness << ',' << figures.loss_aside << '\n';
   }
   if (!file.flush())
   {

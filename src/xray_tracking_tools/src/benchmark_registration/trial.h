@@ -30,8 +30,9 @@ struct Trial
 /// The setup's views of one exposure, from a start.
 RegistrationRequest requestFor(const ExposureSet& exposures, std::size_t index, const RigidTransform& start);
 
-/// Registers and judges. @throws std::runtime_error if the request is INVALID
-Trial tryRegistration(const Registration& registration, const RegistrationRequest& request, const RigidTransform& gold,
+/// Registers, as the node does without what lies outside the X-ray field and with stuck pixels repaired, and judges.
+/// @throws std::runtime_error if an image shows nothing or the request is INVALID
+Trial tryRegistration(const Registration& registration, RegistrationRequest request, const RigidTransform& gold,
                       const Eigen::AlignedBox3d& box);
 
 /// Registers exposures in turn from number `first` on, each from a start that is off by a twist of its own.
