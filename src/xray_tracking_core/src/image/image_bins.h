@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <vector>
 
 #include <opencv2/core.hpp>
@@ -31,10 +32,17 @@ public:
   double correlation() const;
 
 private:
+  /// Of three pixels.
   struct Sample
   {
-    float value;
-    float range;  ///< of three pixels
+    Sample(float a, float b, float c)
+    {
+      const float low = std::min(a, b), high = std::max(a, b);
+      value = std::max(low, std::min(high, c));
+      range = std::max(high, c) - std::min(low, c);
+    }
+    float value;  ///< the median
+    float range;
   };
 
   template <typename Pixel>
@@ -46,7 +54,7 @@ private:
   cv::Mat values_, light_;
   double largest_ = 0.0, smallest_ = 0.0;
   float brightest_ = 0.f, step_ = 0.f, noise_ = 0.f, quantum_ = 0.f;
-  std::vector<int> columns_;  ///< of the pixels of every bin
+  int every_ = 1;  ///< bin is a sample
   std::vector<Sample> samples_;
   std::vector<float> sorted_;
 };
