@@ -3,34 +3,28 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <limits>
 #include <stdexcept>
 #include <string>
-#include <vector>
-
-#include <tbb/blocked_range.h>
-#include <tbb/parallel_for.h>
 
 namespace xray_tracking
 {
 namespace
 {
 template <typename Value, typename Map>
-void mapValues(const cv::Mat& image, const Map& map, cv::Mat& mapped)
+cv::Mat mapped(const cv::Mat& image, const Map& map)
 {
-  mapped.create(image.size(), CV_32FC1);
-  tbb::parallel_for(tbb::blocked_range<int>(0, image.rows, 64),
-                    [&](const tbb::blocked_range<int>& rows)
-                    {
-                      for (int row = rows.begin(); row != rows.end(); ++row)
-                      {
-                        const Value* from = image.ptr<Value>(row);
-                        std::transform(from, from + image.cols, mapped.ptr<float>(row), map);
-                      }
-                    });
+  cv::Mat result(image.size(), CV_32FC1);
+  for (int row = 0; row < image.rows; ++row)
+  {
+    const Value* from = image.ptr<Value>(row);
+    std::transform(from, from + image.cols, result.ptr<float>(row), map);
+  }
+  return result;
 }
 }  // namespace
 
-void attenuationImage(const cv::Mat& image, const IntensityModel& intensity, cv::Mat& attenuation)
+AttenuationImage::AttenuationImage(const cv::Mat& image, const IntensityModel& intensity) : image_(image)
 {
   if (image.empty() || (image.type() != CV_8UC1 && image.type() != CV_16UC1 && image.type() != CV_32FC1))
   {
@@ -42,32 +36,54 @@ void attenuationImage(const cv::Mat& image, const IntensityModel& intensity, cv:
   }
   if (intensity.kind == IntensityModel::Kind::ATTENUATION)
   {
+    return;
+  }
+  double largest = std::numeric_limits<std::uint8_t>::max();
+  if (image.depth() != CV_8U || !intensity.air_counts)
+  {
+    cv::minMaxLoc(image, nullptr, &largest);
+  }
+  offset_ = intensity.offset;
+  air_ = intensity.air_counts.value_or(largest);
+  if (!(air_ > offset_))
+  {
+    throw std::invalid_argument("intensity: air counts are " + std::to_string(air_) +
+                                ": expected more than the offset " + std::to_string(offset_));
+  }
+  if (image.depth() != CV_32F)
+  {
+    // As many logarithms as there are values, not pixels.
+    table_.resize(static_cast<std::size_t>(largest) + 1);
+    for (std::size_t counts = 0; counts < table_.size(); ++counts)
+    {
+      table_[counts] = attenuationOf(static_cast<double>(counts));
+    }
+  }
+}
+
+float AttenuationImage::attenuationOf(double counts) const
+{
+  return static_cast<float>(std::log((air_ - offset_) / std::max(counts - offset_, 1.0)));
+}
+
+cv::Mat AttenuationImage::operator()(const cv::Rect& part) const
+{
+  const cv::Mat image = image_(part);
+  if (air_ == 0.0)
+  {
+    cv::Mat attenuation;
     image.convertTo(attenuation, CV_32F);
-    return;
+    return attenuation;
   }
-  double largest = 0.0;
-  cv::minMaxLoc(image, nullptr, &largest);
-  const double air = intensity.air_counts.value_or(largest);
-  if (!(air > intensity.offset))
+  const auto look_up = [this](std::size_t counts) { return table_[counts]; };
+  switch (image.depth())
   {
-    throw std::invalid_argument("intensity: air counts are " + std::to_string(air) +
-                                ": expected more than the offset " + std::to_string(intensity.offset));
+    case CV_8U:
+      return mapped<std::uint8_t>(image, look_up);
+    case CV_16U:
+      return mapped<std::uint16_t>(image, look_up);
+    default:
+      return mapped<float>(image, [this](float counts) { return attenuationOf(counts); });
   }
-  const auto attenuationOf = [&](double counts)
-  { return static_cast<float>(std::log((air - intensity.offset) / std::max(counts - intensity.offset, 1.0))); };
-  if (image.depth() == CV_32F)
-  {
-    mapValues<float>(image, attenuationOf, attenuation);
-    return;
-  }
-  // As many logarithms as there are values, not pixels.
-  std::vector<float> table(static_cast<std::size_t>(largest) + 1);
-  for (std::size_t counts = 0; counts < table.size(); ++counts)
-  {
-    table[counts] = attenuationOf(static_cast<double>(counts));
-  }
-  const auto lookUp = [&table](std::size_t counts) { return table[counts]; };
-  image.depth() == CV_8U ? mapValues<std::uint8_t>(image, lookUp, attenuation)
-                         : mapValues<std::uint16_t>(image, lookUp, attenuation);
 }
 }  // namespace xray_tracking

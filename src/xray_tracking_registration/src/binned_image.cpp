@@ -4,7 +4,7 @@
 
 namespace xray_tracking
 {
-BinnedImage binned(const cv::Mat& attenuation, const cv::Mat& usable, const cv::Rect& bins, int edge)
+BinnedImage binned(const AttenuationImage& attenuation, const cv::Mat& usable, const cv::Rect& bins, int edge)
 {
   const cv::Rect pixels(bins.tl() * edge, bins.size() * edge);
   BinnedImage image;

@@ -56,11 +56,11 @@ void doubtFor(std::string reason, Outcome& outcome)
   outcome.probability = std::min(outcome.probability, 0.5);
 }
 
-void doubtIfRivalled(const Rival& rival, Outcome& outcome)
+void doubtIfRivalled(const Rival& rival, const char* what, Outcome& outcome)
 {
   if (outcome.doubt.empty() && rival.similarity > kAsGood * outcome.similarity)
   {
-    doubtFor(message("a place ", rival.distance_mm, " mm and ", rival.rotation_rad,
+    doubtFor(message(what, " ", rival.distance_mm, " mm and ", rival.rotation_rad,
                      " rad away is as similar: ", rival.similarity, ", here ", outcome.similarity),
              outcome);
   }

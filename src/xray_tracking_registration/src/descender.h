@@ -38,8 +38,8 @@ struct Outcome
 
 /// Doubts an outcome for a reason that its probability does not know of: then it is as likely wrong as right, at best.
 void doubtFor(std::string reason, Outcome& outcome);
-/// Doubts an outcome that a rival is as good as.
-void doubtIfRivalled(const Rival& rival, Outcome& outcome);
+/// Doubts an outcome that a rival is as good as. @param what the rival is, for the reason
+void doubtIfRivalled(const Rival& rival, const char* what, Outcome& outcome);
 
 /// The finest level from a pose, and what it says there.
 struct FineLevel
@@ -52,7 +52,7 @@ struct FineLevel
 struct Run
 {
   const RegistrationRequest& request;
-  std::vector<cv::Mat> attenuation;  ///< one a view
+  std::vector<AttenuationImage> attenuation;  ///< one a view
   RunControl& control;
 };
 

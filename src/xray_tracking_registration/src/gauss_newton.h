@@ -11,11 +11,10 @@ namespace xray_tracking
 /// leaves over is noise, whose variance in each view follows from the differences.
 struct Linearisation
 {
-  std::vector<ViewModel> models;  ///< one a view, times the correlation coefficient
+  std::vector<ViewModel> models;  ///< one a view
   /// Inverse variances with Huber's weights, one a pixel: noise and, where both bodies move, what the rest's
   /// deformation makes of its edges.
   std::vector<Eigen::VectorXf> weights;
-  std::vector<double> similarity;  ///< correlation coefficient of every view
 
   double meanSimilarity() const;
   /// Weighted sum of squared differences, with other weights than its own if need be.

@@ -23,24 +23,6 @@ Eigen::VectorXf flattened(const cv::Mat& image)
   return values;
 }
 
-/// Multiplies all channels of every pixel by the pixel's factor.
-void scaleRows(const cv::Mat& factors, cv::Mat& image)
-{
-  const int channels = image.channels();
-  for (int row = 0; row < image.rows; ++row)
-  {
-    const float* factor = factors.ptr<float>(row);
-    float* values = image.ptr<float>(row);
-    for (int column = 0; column < image.cols; ++column)
-    {
-      for (int channel = 0; channel < channels; ++channel)
-      {
-        *values++ *= factor[column];
-      }
-    }
-  }
-}
-
 Eigen::Map<Eigen::ArrayXf> mapped(cv::Mat& mat)
 {
   return { mat.ptr<float>(), static_cast<Eigen::Index>(mat.total()) };
@@ -75,18 +57,21 @@ void saturate(double saturation, cv::Mat& image, cv::Mat& slope, cv::Mat& by_sat
 }
 
 constexpr double kUsableShare = 0.75;  // of a bin's pixels
+constexpr int kSample = 1000;          // pixels, at least, where there are as many
+constexpr double kMinGain = 0.05;      // of a model that is not yet like the image
 }  // namespace
 
-ViewLevel::ViewLevel(const ProjectionGeometry& geometry, const cv::Mat& attenuation, const cv::Mat& usable,
+ViewLevel::ViewLevel(const ProjectionGeometry& geometry, const AttenuationImage& attenuation, const cv::Mat& usable,
                      const cv::Rect& region, const Resolution& resolution, const std::vector<PlacedEnds>& ends,
                      double least_share)
-  : geometry_(&geometry), resolution_(resolution)
+  : geometry_(&geometry), resolution_(resolution), blur_(1.0)
 {
   const int bin = std::max(1, static_cast<int>(std::lround(resolution.bin_mm / geometry.pixelPitch().mean())));
-  sigma_ = resolution.highpass_mm / (bin * geometry.pixelPitch().mean());
+  const double sigma = resolution.highpass_mm / (bin * geometry.pixelPitch().mean());
+  blur_ = RunningBlur(sigma);
   // Beyond a few bins the border only has to tell the local mean roughly.
-  border_ = static_cast<int>(std::ceil(2.0 * std::min(sigma_, 4.0))) + 1;
-  const cv::Rect bins(0, 0, attenuation.cols / bin, attenuation.rows / bin);
+  border_ = static_cast<int>(std::ceil(std::min(sigma, 4.0))) + 1;
+  const cv::Rect bins(0, 0, attenuation.size().width / bin, attenuation.size().height / bin);
   const cv::Point first(static_cast<int>(std::floor(double(region.x) / bin)) - border_,
                         static_cast<int>(std::floor(double(region.y) / bin)) - border_);
   const cv::Point end(static_cast<int>(std::ceil(double(region.x + region.width) / bin)) + border_,
@@ -116,8 +101,11 @@ ViewLevel::ViewLevel(const ProjectionGeometry& geometry, const cv::Mat& attenuat
 void ViewLevel::leaveOut(const cv::Mat& usable, const std::vector<PlacedEnds>& ends, double least_share)
 {
   cv::Mat inside = insideEnds(*geometry_, grid_, ends);
-  // The pose is not the final one, and a bin's other rays are to be inside too.
-  cv::erode(inside, inside, cv::Mat(), cv::Point(-1, -1), 2, cv::BORDER_REFLECT);
+  if (!ends.empty())
+  {
+    // The pose is not the final one, and a bin's other rays are to be inside too.
+    cv::erode(inside, inside, cv::Mat(), cv::Point(-1, -1), 2, cv::BORDER_REFLECT);
+  }
   const cv::Rect without_border(border_, border_, size_.width, size_.height);
   const double in_ct = cv::mean(inside(without_border))[0];
   if (!usable.empty())
@@ -134,50 +122,27 @@ void ViewLevel::leaveOut(const cv::Mat& usable, const std::vector<PlacedEnds>& e
                                 std::to_string(static_cast<int>(100.0 * least_share)) + " % or more");
   }
   valid_ = flattened(inside(without_border));
-  if (cv::countNonZero(inside) < static_cast<int>(inside.total()))
+  const auto step = std::max(1, static_cast<int>((valid_.array() > 0.0f).count()) / kSample);
+  int counted = 0;
+  for (int n = 0; n < static_cast<int>(valid_.size()); ++n)
   {
-    counts_ = inside;
-    inverse_share_ = 1.0 / cv::max(blurred(inside), 1e-3);
+    if (valid_[n] > 0.0f && counted++ % step == 0)
+    {
+      sample_.push_back(n);
+    }
   }
-}
-
-cv::Mat ViewLevel::blurred(const cv::Mat& image) const
-{
-  cv::Mat smooth;
-  cv::GaussianBlur(image, smooth, cv::Size(), sigma_, sigma_, cv::BORDER_REFLECT);
-  return smooth(cv::Rect(border_, border_, size_.width, size_.height));
+  counts_ = inside;
+  cv::Mat share = inside.clone();
+  blur_(share);
+  counted_inverse_ = counts_ / cv::max(share, 1e-3);
 }
 
 cv::Mat ViewLevel::highPassed(const cv::Mat& image) const
 {
-  const cv::Rect without_border(border_, border_, size_.width, size_.height);
-  if (counts_.empty())
-  {
-    return image(without_border) - blurred(image);
-  }
-  // The local mean of what counts alone.
-  cv::Mat counted = image.clone();
-  scaleRows(counts_, counted);
-  const cv::Mat mean = blurred(counted);
-  // What counts is 0 or 1: it is left as it is by being counted.
-  cv::Mat passed = counted(without_border);
-  const int channels = image.channels();
-  for (int row = 0; row < passed.rows; ++row)
-  {
-    const float* share = inverse_share_.ptr<float>(row);
-    const float* counts = counts_.ptr<float>(row + border_) + border_;
-    const float* means = mean.ptr<float>(row);
-    float* values = passed.ptr<float>(row);
-    for (int column = 0; column < passed.cols; ++column)
-    {
-      const float factor = share[column] * counts[column];
-      for (int channel = 0; channel < channels; ++channel)
-      {
-        *values++ -= factor * *means++;
-      }
-    }
-  }
-  return passed;
+  const cv::Mat counted = image.mul(counts_);
+  cv::Mat means = counted.clone();
+  blur_(means);
+  return (counted - means.mul(counted_inverse_))(cv::Rect(border_, border_, size_.width, size_.height));
 }
 
 float ViewLevel::normalise(Eigen::VectorXf& image) const
@@ -230,47 +195,42 @@ void ViewLevel::model(const Bodies& bodies, const PosePair& poses, double satura
     bodies.rest->render(*geometry_, grid_, poses.rest, centre, rest);
   }
   image += rest;
-  cv::Mat slope;
-  cv::Mat by_saturation;
-  saturate(saturation, image, slope, by_saturation);
   if (moving == Moving::TOGETHER)
   {
     derivatives[0] += derivatives[1];
   }
-  const int twists = moving == Moving::BOTH ? 2 : 1;
-  model.image = flattened(highPassed(image));
-  const auto pixels = static_cast<int>(model.image.size());
-  model.derivatives.resize(pixels, 6 * twists);
-  for (int body = 0; body < twists; ++body)
+  cv::Mat slope;
+  cv::Mat by_saturation;
+  saturate(saturation, image, slope, by_saturation);
+  slope = slope.mul(counts_);
+  by_saturation = by_saturation.mul(counts_);
+  model.twists = moving == Moving::BOTH ? 12 : 6;
+  PixelRows rows(image.total(), kPixelRow);
+  rows.setZero();
+  for (Eigen::Index n = 0; n < rows.rows(); ++n)
   {
-    scaleRows(slope, derivatives[body]);
-    const cv::Mat passed = highPassed(derivatives[body]);
-    for (int row = 0; row < size_.height; ++row)
+    const float factor = slope.ptr<float>()[n];
+    for (int body = 0; body < model.twists / 6; ++body)
     {
-      using Rows = Eigen::Matrix<float, Eigen::Dynamic, 6, Eigen::RowMajor>;
-      model.derivatives.block(row * size_.width, 6 * body, size_.width, 6) =
-          Eigen::Map<const Rows>(passed.ptr<float>(row), size_.width, 6);
+      using Six = Eigen::Matrix<float, 1, 6>;
+      rows.row(n).segment<6>(6 * body) = factor * Eigen::Map<const Six>(derivatives[body].ptr<float>() + 6 * n);
     }
+    rows(n, model.twists) = by_saturation.ptr<float>()[n];
   }
-  model.by_saturation = flattened(highPassed(by_saturation));
+  PixelRows means = rows;
+  blur_(means, image.size());
+  model.derivatives =
+      withoutMeans(rows, means, counted_inverse_, cv::Rect(border_, border_, size_.width, size_.height));
+  model.image = flattened(highPassed(image));
   const float norm = normalise(model.image);
+  model.similarity = measured_.dot(model.image);
   if (norm == 0.0f)
   {
     model.derivatives.setZero();
-    model.by_saturation.setZero();
     return;
   }
-  // Derivative of (I - mean(I)) / |I - mean(I)|: what lies along the image itself is taken away.
-  const float counted = valid_.sum();
-  const auto projectOut = [&](auto column)
-  {
-    column.array() -= column.dot(valid_) / counted * valid_.array();
-    column = (column - model.image * model.image.dot(column)) / norm;
-  };
-  for (int n = 0; n < model.derivatives.cols(); ++n)
-  {
-    projectOut(model.derivatives.col(n));
-  }
-  projectOut(model.by_saturation.col(0));
+  const auto gain = static_cast<float>(std::max(model.similarity, kMinGain));
+  projectOut(model.image, valid_, gain / norm, model.derivatives);
+  model.image *= gain;
 }
 }  // namespace xray_tracking

@@ -6,7 +6,9 @@
 #include <opencv2/core.hpp>
 
 #include "bodies.h"
+#include "pixel_rows.h"
 #include "xray_tracking_core/projection/pixel_grid.h"
+#include "xray_tracking_registration/attenuation_image.h"
 
 namespace xray_tracking
 {
@@ -47,12 +49,14 @@ struct Resolution
   double highpass_mm;  ///< standard deviation of the Gaussian that is taken away
 };
 
-/// What one view's model image says of a pose: normalised image and its derivatives by the unknowns.
+/// What one view's model image says of a pose: the image, times its correlation with the measured one, as what is left
+/// is noise, and its derivatives.
 struct ViewModel
 {
-  Eigen::VectorXf image;          ///< mean 0, norm 1
-  Eigen::MatrixXf derivatives;    ///< by the twists: pixels x unknowns
-  Eigen::VectorXf by_saturation;  ///< derivative by the view's saturation
+  Eigen::VectorXf image;    ///< mean 0, norm as the similarity
+  PixelRows derivatives;    ///< by the twists, then by the view's saturation, then zeros
+  int twists = 0;           ///< 6 or 12
+  double similarity = 0.0;  ///< correlation coefficient with the measured image
 };
 
 /// One view's image at one resolution, and its model.
@@ -69,7 +73,7 @@ public:
   /// @param least_share of the region that has to be usable and inside the CT, 0 to 1
   /// @throws std::invalid_argument naming the view: region outside the image or too small, constant image, too small a
   ///         share of the region usable and inside the CT
-  ViewLevel(const ProjectionGeometry& geometry, const cv::Mat& attenuation, const cv::Mat& usable,
+  ViewLevel(const ProjectionGeometry& geometry, const AttenuationImage& attenuation, const cv::Mat& usable,
             const cv::Rect& region, const Resolution& resolution, const std::vector<PlacedEnds>& ends = {},
             double least_share = 0.5);
 
@@ -84,6 +88,9 @@ public:
   /// 1 for pixels that count, 0 for unusable ones and where the CT ends; row by row.
   const Eigen::VectorXf& valid() const { return valid_; }
 
+  /// Pixels that stand for all that count; none if none does.
+  const std::vector<int>& sample() const { return sample_; }
+
   /// Model of the poses with its derivatives. A model without contrast has image 0.
   void model(const Bodies& bodies, const PosePair& poses, double saturation, Moving moving, ViewModel& model) const;
   /// The high-passed model image alone, not normalised, CV_32FC1.
@@ -96,22 +103,23 @@ public:
 private:
   /// @param usable of the grid, CV_32FC1, share of every bin; empty: all
   void leaveOut(const cv::Mat& usable, const std::vector<PlacedEnds>& ends, double least_share);
-  cv::Mat blurred(const cv::Mat& image) const;
+  /// @param image of the grid, whose local mean is taken away where it counts; 0 elsewhere
   cv::Mat highPassed(const cv::Mat& image) const;
   /// Brings to mean 0 and norm 1 over the valid pixels; 0 if there is nothing but rounding. @return the norm
   float normalise(Eigen::VectorXf& image) const;
 
   const ProjectionGeometry* geometry_;
   Resolution resolution_;
-  PixelGrid grid_;   ///< with a border that the high-pass needs
-  double sigma_;     ///< of the high-pass [bins]
-  int border_;       ///< [bins]
-  cv::Size size_;    ///< without the border [bins]
-  cv::Point first_;  ///< likewise
+  PixelGrid grid_;    ///< with a border that the high-pass needs
+  RunningBlur blur_;  ///< what the high-pass takes away
+  int border_;        ///< [bins]
+  cv::Size size_;     ///< without the border [bins]
+  cv::Point first_;   ///< likewise
   cv::Mat measured_image_;
   Eigen::VectorXf measured_;
-  cv::Mat counts_;         ///< of the grid, as valid_; empty if all count
-  cv::Mat inverse_share_;  ///< of what counts, about every bin without the border; empty if all count
+  cv::Mat counts_;           ///< of the grid, as valid_
+  cv::Mat counted_inverse_;  ///< the same by the share of what counts about a bin
   Eigen::VectorXf valid_;
+  std::vector<int> sample_;
 };
 }  // namespace xray_tracking

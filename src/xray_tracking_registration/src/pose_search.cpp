@@ -145,7 +145,7 @@ PoseSearch::PoseSearch(const Run& run, const Bodies& bodies, const Eigen::Aligne
                     [&](std::size_t v) { views_[v] = makeView(run.request.views[v], run.attenuation[v]); });
 }
 
-PoseSearch::View PoseSearch::makeView(const RegistrationView& from, const cv::Mat& attenuation) const
+PoseSearch::View PoseSearch::makeView(const RegistrationView& from, const AttenuationImage& attenuation) const
 {
   View view;
   const ProjectionGeometry& geometry = from.geometry;
@@ -191,7 +191,8 @@ PoseSearch::View PoseSearch::makeView(const RegistrationView& from, const cv::Ma
     throw std::invalid_argument("view " + geometry.name() +
                                 ": the neighbourhood to search comes too near to the source");
   }
-  const cv::Rect there = area & cv::Rect(0, 0, attenuation.cols / view.bin, attenuation.rows / view.bin);
+  const cv::Rect there =
+      area & cv::Rect(0, 0, attenuation.size().width / view.bin, attenuation.size().height / view.bin);
   cv::Mat image(area.size(), CV_32FC1, 0.0f);
   cv::Mat usable(area.size(), CV_32FC1, 0.0f);
   if (!there.empty())

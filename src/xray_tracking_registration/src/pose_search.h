@@ -79,7 +79,7 @@ private:
     float similarity;
   };
 
-  View makeView(const RegistrationView& view, const cv::Mat& attenuation) const;
+  View makeView(const RegistrationView& view, const AttenuationImage& attenuation) const;
   Template render(const View& view, const PosePair& poses, const cv::Point& shift) const;
   static cv::Mat correlate(const Searched& image, const Template& drr);
   /// Of one orientation.

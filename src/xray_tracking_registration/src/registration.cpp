@@ -8,10 +8,10 @@
 #include "xray_tracking_core/evaluation/evaluation.h"
 
 #include "descender.h"
+#include "look_alikes.h"
 #include "message.h"
 #include "run_control.h"
 #include "wide_search.h"
-#include "xray_tracking_registration/attenuation_image.h"
 
 namespace xray_tracking
 {
@@ -21,7 +21,9 @@ namespace
 constexpr double kNearlyThere = 0.5;
 /// Views as similar as this, fine and coarse, show no other vertebra.
 constexpr double kSure = 0.72;
-constexpr double kNeighbour = 18.0;  // where another vertebra is looked for, along the patient's long axis [mm]
+/// Where another place is looked for along the patient's long axis if the CT shows none that looks like the target
+/// [mm].
+constexpr double kNeighbour = 18.0;
 constexpr double kTurned = 3.0 * M_PI / 180.0;  // from the start: worth a try from its orientation
 constexpr double kMuchFarther = 15.0;  // from the start than what was found: the start itself speaks against it [mm]
 constexpr double kDescends = 5.0;      // nearer to the start: what begins farther off than this is not tried [mm]
@@ -92,6 +94,7 @@ public:
     {
       throw std::invalid_argument("target box: expected finite corners, min below max");
     }
+    neighbours_ = neighboursOf(bodies, box);
     bodies_ = std::make_unique<const Bodies>(bodies, box, kFine.bin_mm, options.projector);
     const double voxel = std::cbrt(std::abs(bodies.target.grid.patient_from_index.linear().determinant()));
     descender_ = std::make_unique<const Descender>(*bodies_, box, voxel, options);
@@ -131,18 +134,18 @@ public:
   std::size_t memory() const { return bodies_->target->memory() + bodies_->rest->memory(); }
 
 private:
-  static std::vector<cv::Mat> attenuationImages(const RegistrationRequest& request)
+  static std::vector<AttenuationImage> attenuationImages(const RegistrationRequest& request)
   {
-    std::vector<cv::Mat> images(request.views.size());
-    for (std::size_t v = 0; v < images.size(); ++v)
+    std::vector<AttenuationImage> images;
+    for (const RegistrationView& view : request.views)
     {
       try
       {
-        attenuationImage(request.views[v].image, request.intensity, images[v]);
+        images.emplace_back(view.image, request.intensity);
       }
       catch (const std::invalid_argument& error)
       {
-        throw std::invalid_argument("view " + request.views[v].geometry.name() + ": " + error.what());
+        throw std::invalid_argument("view " + view.geometry.name() + ": " + error.what());
       }
     }
     return images;
@@ -228,8 +231,8 @@ private:
     const RegistrationRequest& request = run.request;
     FineLevel fine = descender_->fineLevel(run, start);
     result.similarity_before = fine.at.meanSimilarity();
-    const std::vector<double>& before = fine.at.similarity;
-    const bool near = *std::min_element(before.begin(), before.end()) >= kNearlyThere;
+    const bool near = std::all_of(fine.at.models.begin(), fine.at.models.end(),
+                                  [](const ViewModel& model) { return model.similarity >= kNearlyThere; });
     const bool by_newton = options_.optimiser == Optimiser::GAUSS_NEWTON;
     const Path first = request.start_verified && by_newton ? Path::SHIFT : Path::COARSE;
     Outcome best =
@@ -279,6 +282,22 @@ private:
     return best;
   }
 
+  /// Shifts to where the target is looked for as well, patient frame [mm]: here, then to either side of it.
+  static std::vector<Eigen::Vector3d> neighboursOf(const BodyModel& bodies, const Eigen::AlignedBox3d& box)
+  {
+    std::vector<Eigen::Vector3d> shifts = lookAlikes(bodies, box);
+    if (shifts.empty())
+    {
+      shifts = { -kNeighbour * Eigen::Vector3d::UnitZ() };
+    }
+    if (shifts.size() == 1)
+    {
+      shifts.push_back(-shifts.front());
+    }
+    shifts.insert(shifts.begin(), Eigen::Vector3d::Zero());
+    return shifts;
+  }
+
   /// Puts what was found to the test where its views are not alike beyond doubt: whether the same place from the
   /// start's orientation, or the next vertebra to either side, is as much alike, and not so much farther from the start
   /// that the start itself speaks against it. It is taken instead if it is clearly more alike and nearer to the start.
@@ -290,14 +309,14 @@ private:
     {
       return;
     }
-    for (const double side : { 0.0, -kNeighbour, kNeighbour })
+    for (const Eigen::Vector3d& side : neighbours_)
     {
       if (isSure(best) || !best.doubt.empty() || run.control.stop() != RunControl::Stop::NONE)
       {
         return;
       }
       PosePair there{ start, start };
-      there.target.translation() += found * bodies_->centre - start * bodies_->centre + side * found.linear().col(2);
+      there.target.translation() += found * bodies_->centre - start * bodies_->centre + found.linear() * side;
       if (descender_->moving() == Moving::TARGET)
       {
         there.rest = start * run.request.target_from_rest;
@@ -307,13 +326,13 @@ private:
         there.rest = bodies_->one ? there.target : there.target * run.request.target_from_rest;
       }
       const double farthest = run.control.distance(best.poses.target) + kMuchFarther;
-      if (!run.control.inBounds(there.target) || (side == 0.0 && rotationAngle(start.inverse() * found) < kTurned) ||
+      if (!run.control.inBounds(there.target) || (side.isZero() && rotationAngle(start.inverse() * found) < kTurned) ||
           run.control.distance(there.target) > farthest + kDescends)
       {
         continue;
       }
       Outcome other = descender_->descend(
-          run, there, side == 0.0 && descender_->moving() == Moving::BOTH ? Path::MEDIUM : Path::COARSE);
+          run, there, side.isZero() && descender_->moving() == Moving::BOTH ? Path::MEDIUM : Path::COARSE);
       const double apart = targetRegistrationError(other.poses.target, best.poses.target, box_);
       const double distance = run.control.distance(other.poses.target);
       if (other.views.empty() || apart < kElsewhere || distance > farthest)
@@ -326,12 +345,13 @@ private:
       }
       const double angle = rotationAngle(best.poses.target.inverse() * other.poses.target);
       rivals.push_back({ other.poses.target, apart, angle, other.similarity });
-      doubtIfRivalled(rivals.back(), best);
+      doubtIfRivalled(rivals.back(), side.isZero() ? "a place" : "a place that looks like the target in the CT,", best);
     }
   }
 
   RegistrationOptions options_;
   Eigen::AlignedBox3d box_;
+  std::vector<Eigen::Vector3d> neighbours_;
   std::unique_ptr<const Bodies> bodies_;
   std::unique_ptr<const Descender> descender_;
 };

@@ -20,7 +20,7 @@ Eigen::VectorXd tileGradient(const ViewLevel& view, const Linearisation& at, std
                              const cv::Rect& tile)
 {
   const ViewModel& model = at.models[v];
-  Eigen::VectorXd gradient = Eigen::VectorXd::Zero(unknowns);
+  Eigen::Matrix<double, kPixelRow, 1> sum = Eigen::Matrix<double, kPixelRow, 1>::Zero();
   for (int row = tile.y; row < tile.y + tile.height; ++row)
   {
     const int first = row * view.size().width + tile.x;
@@ -28,11 +28,11 @@ Eigen::VectorXd tileGradient(const ViewLevel& view, const Linearisation& at, std
         at.weights[v]
             .segment(first, tile.width)
             .cwiseProduct(view.measured().segment(first, tile.width) - model.image.segment(first, tile.width));
-    gradient.head(model.derivatives.cols()) +=
-        (model.derivatives.middleRows(first, tile.width).transpose() * pull).cast<double>();
-    gradient[model.derivatives.cols() + static_cast<Eigen::Index>(v)] +=
-        model.by_saturation.segment(first, tile.width).dot(pull);
+    sum += (model.derivatives.middleRows(first, tile.width).transpose() * pull).cast<double>();
   }
+  Eigen::VectorXd gradient = Eigen::VectorXd::Zero(unknowns);
+  gradient.head(model.twists) = sum.head(model.twists);
+  gradient[model.twists + static_cast<Eigen::Index>(v)] = sum[model.twists];
   return gradient;
 }
 }  // namespace
@@ -81,16 +81,16 @@ std::vector<ViewResidual> viewResiduals(const std::vector<ViewLevel>& views, con
   std::vector<ViewResidual> residuals(views.size());
   for (std::size_t v = 0; v < views.size(); ++v)
   {
-    const Eigen::MatrixXf& derivatives = at.models[v].derivatives;
-    const Eigen::VectorXf difference = views[v].measured() - at.models[v].image;
-    const Eigen::MatrixXf weighted = at.weights[v].asDiagonal() * derivatives;
-    Eigen::MatrixXd information = (derivatives.transpose() * weighted).cast<double>();
+    const ViewModel& model = at.models[v];
+    const Eigen::VectorXf difference = views[v].measured() - model.image;
+    const WeighedSums sums = weighedSums(model.derivatives, at.weights[v], difference);
+    Eigen::MatrixXd information = sums.squares.topLeftCorner(model.twists, model.twists);
     // One view sees little of depth and of two rotations; these stay about where all views put them.
     information.diagonal() *= 1.05;
-    const Eigen::VectorXd step = information.ldlt().solve((weighted.transpose() * difference).cast<double>().eval());
+    const Eigen::VectorXd step = information.ldlt().solve(sums.products.head(model.twists));
     const Eigen::Vector3d ray = (room_centre - views[v].geometry().source()).normalized();
     const Eigen::Vector3d translation = step.segment<3>(3);
-    residuals[v].similarity = at.similarity[v];
+    residuals[v].similarity = model.similarity;
     residuals[v].noise = difference.norm();
     residuals[v].pull_mm = (translation - ray * ray.dot(translation)).norm();
   }

@@ -48,8 +48,9 @@ ShiftedViews::ShiftedViews(const Run& run, const std::vector<ViewLevel>& views, 
       { views_[v] = slide(run.request.views[v], run.attenuation[v], views[v], models[v], room_centre, reach); });
 }
 
-ShiftedViews::View ShiftedViews::slide(const RegistrationView& view, const cv::Mat& attenuation, const ViewLevel& level,
-                                       const cv::Mat& model, const Eigen::Vector3d& room_centre, double reach)
+ShiftedViews::View ShiftedViews::slide(const RegistrationView& view, const AttenuationImage& attenuation,
+                                       const ViewLevel& level, const cv::Mat& model, const Eigen::Vector3d& room_centre,
+                                       double reach)
 {
   const ProjectionGeometry& geometry = view.geometry;
   const auto bin = static_cast<int>(level.bin());

@@ -42,7 +42,7 @@ private:
     Eigen::Matrix<double, 2, 3> shifts;  ///< by a shift of the target in the room [bins / mm]
   };
 
-  static View slide(const RegistrationView& view, const cv::Mat& attenuation, const ViewLevel& level,
+  static View slide(const RegistrationView& view, const AttenuationImage& attenuation, const ViewLevel& level,
                     const cv::Mat& model, const Eigen::Vector3d& room_centre, double reach);
 
   std::vector<View> views_;

@@ -89,7 +89,7 @@ Found searchAround(const Run& run, const Bodies& bodies, const Descender& descen
   }
   if (!found.rivals.empty())
   {
-    doubtIfRivalled(found.rivals.front(), found.answer);
+    doubtIfRivalled(found.rivals.front(), "a place", found.answer);
   }
   return found;
 }

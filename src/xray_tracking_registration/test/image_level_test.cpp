@@ -35,6 +35,12 @@ ScalarVolume blobs(const std::vector<std::pair<Eigen::Vector3d, double>>& shape)
   }
   return volume;
 }
+AttenuationImage asAttenuation(const cv::Mat& image)
+{
+  IntensityModel intensity;
+  intensity.kind = IntensityModel::Kind::ATTENUATION;
+  return { image, intensity };
+}
 }  // namespace
 
 class ImageLevelTest : public testing::TestWithParam<Moving>
@@ -50,28 +56,33 @@ TEST_P(ImageLevelTest, DerivativesAgreeWithCentralDifferences)
                       { centre.array() - 10.0, centre.array() + 10.0 }, 1.0, Projector::SHEAR_WARP);
   cv::Mat image(512, 512, CV_32FC1);
   cv::randu(image, 0.0, 1.0);  // derivatives do not depend on it
-  const ViewLevel level(geometry, image, cv::Mat(), cv::Rect(170, 170, 170, 170), { 1.6, 16.0 });
+  const ViewLevel level(geometry, asAttenuation(image), cv::Mat(), cv::Rect(170, 170, 170, 170), { 1.6, 16.0 });
   constexpr double kSaturation = 0.7;
+  constexpr float kGain = 0.05f;  // the least, as the image is noise
   std::mt19937 random(1);
   const RigidTransform pose = motionAbout(Eigen::Vector3d::Zero(), randomTwist(random, 20.0, 4.0));
   const PosePair poses{ pose, motionAbout(Eigen::Vector3d::Zero(), randomTwist(random, 1.0, 2.0)) * pose };
   ViewModel model;
   level.model(bodies, poses, kSaturation, GetParam(), model);
-  ASSERT_EQ(model.derivatives.cols(), GetParam() == Moving::BOTH ? 12 : 6);
-  EXPECT_NEAR(model.image.norm(), 1.0f, 1e-5f);
+  ASSERT_EQ(model.twists, GetParam() == Moving::BOTH ? 12 : 6);
+  EXPECT_NEAR(model.image.norm(), kGain, 1e-5f);
+  EXPECT_EQ(model.derivatives.rightCols(kPixelRow - 1 - model.twists).norm(), 0.0f);
   // A shift by 1 mm across the rays is what the image depends on most; along them it depends 40 times less.
-  const float largest = model.derivatives.rightCols<3>().colwise().norm().maxCoeff();
-  for (int unknown = 0; unknown < model.derivatives.cols(); ++unknown)
+  const float largest = model.derivatives.middleCols<3>(model.twists - 3).colwise().norm().maxCoeff();
+  // What the model is like at a gain of its own at both sides.
+  const auto difference_of = [&](const std::array<ViewModel, 2>& sides, double size) -> Eigen::VectorXf
+  { return kGain * (sides[1].image.normalized() - sides[0].image.normalized()) / static_cast<float>(2.0 * size); };
+  for (int unknown = 0; unknown < model.twists; ++unknown)
   {
     const double size = unknown % 6 < 3 ? 0.02 : 0.5;
-    Eigen::VectorXd step = Eigen::VectorXd::Zero(model.derivatives.cols());
+    Eigen::VectorXd step = Eigen::VectorXd::Zero(model.twists);
     std::array<ViewModel, 2> sides;
     for (int side = 0; side < 2; ++side)
     {
       step[unknown] = side == 0 ? -size : size;
       level.model(bodies, moved(poses, step, bodies.centre, GetParam()), kSaturation, GetParam(), sides[side]);
     }
-    const Eigen::VectorXf difference = (sides[1].image - sides[0].image) / static_cast<float>(2.0 * size);
+    const Eigen::VectorXf difference = difference_of(sides, size);
     // 3 %: the slope of trilinear interpolation against that of what it interpolates.
     EXPECT_LT((difference - model.derivatives.col(unknown)).norm(), 0.03f * std::max(difference.norm(), 0.1f * largest))
         << "unknown " << unknown << " of norm " << difference.norm();
@@ -81,9 +92,9 @@ TEST_P(ImageLevelTest, DerivativesAgreeWithCentralDifferences)
   {
     level.model(bodies, poses, kSaturation + (side == 0 ? -0.01 : 0.01), GetParam(), sides[side]);
   }
-  const Eigen::VectorXf difference = (sides[1].image - sides[0].image) / 0.02f;
-  EXPECT_GT(difference.norm(), 0.01f);
-  EXPECT_LT((difference - model.by_saturation).norm(), 0.01f * difference.norm());
+  const Eigen::VectorXf difference = difference_of(sides, 0.01);
+  EXPECT_GT(difference.norm(), 0.01f * kGain);
+  EXPECT_LT((difference - model.derivatives.col(model.twists)).norm(), 0.01f * difference.norm());
 }
 
 INSTANTIATE_TEST_SUITE_P(All, ImageLevelTest, testing::Values(Moving::TARGET, Moving::TOGETHER, Moving::BOTH));
@@ -94,13 +105,13 @@ TEST(ImageLevel, ModelOfTheTruePoseIsLikeTheImage)
   std::mt19937 random(2);
   const RigidTransform& pose = phantom.roomFromPatient();
   const RegistrationRequest request = phantom.expose(pose, pose, random);
-  cv::Mat attenuation;
-  attenuationImage(request.views[1].image, request.intensity, attenuation);
+  const AttenuationImage attenuation(request.views[1].image, request.intensity);
   const ViewLevel level(request.views[1].geometry, attenuation, cv::Mat(), cv::Rect(170, 170, 170, 170), { 3.2, 16.0 });
   ViewModel model;
   const Bodies bodies(phantom.bodies(), phantom.targetBox(), 1.0, Projector::SHEAR_WARP);
   level.model(bodies, { pose, pose }, kUsualSaturation, Moving::TARGET, model);
-  EXPECT_GT(model.image.dot(level.measured()), 0.93f);
+  EXPECT_GT(model.similarity, 0.93);
+  EXPECT_NEAR(model.image.norm(), model.similarity, 1e-5);
 }
 
 TEST(ImageLevel, LeavesOutWhereTheCtEnds)
@@ -123,7 +134,7 @@ TEST(ImageLevel, LeavesOutWhereTheCtEnds)
   cv::Mat image(512, 512, CV_32FC1);
   cv::randu(image, 0.0, 1.0);
   const CtEnds ends(cube);
-  const ViewLevel level(geometry, image, cv::Mat(), cv::Rect(100, 180, 312, 150), { 1.6, 1.6 },
+  const ViewLevel level(geometry, asAttenuation(image), cv::Mat(), cv::Rect(100, 180, 312, 150), { 1.6, 1.6 },
                         { { ends, phantom.roomFromPatient() } });
   int judged = 0;
   for (int row = 0; row < level.size().height; ++row)
@@ -169,8 +180,8 @@ TEST(ImageLevel, UnusablePixelsDoNotCount)
   usable(plate).setTo(0);
   usable.at<std::uint8_t>(256, 300) = 0;
   const cv::Rect region(150, 180, 200, 150);
-  const ViewLevel masked(geometry, spoilt, usable, region, { 1.6, 16.0 });
-  const ViewLevel same(geometry, image, usable, region, { 1.6, 16.0 });
+  const ViewLevel masked(geometry, asAttenuation(spoilt), usable, region, { 1.6, 16.0 });
+  const ViewLevel same(geometry, asAttenuation(image), usable, region, { 1.6, 16.0 });
   EXPECT_EQ(masked.measured(), same.measured()) << "what is not usable has changed what is";
   const auto width = masked.size().width;
   for (int column = 0; column < width; ++column)
@@ -182,7 +193,7 @@ TEST(ImageLevel, UnusablePixelsDoNotCount)
   usable(cv::Rect(150, 0, 110, 512)).setTo(0);
   try
   {
-    ViewLevel(geometry, spoilt, usable, region, { 1.6, 16.0 });
+    ViewLevel(geometry, asAttenuation(spoilt), usable, region, { 1.6, 16.0 });
     FAIL();
   }
   catch (const std::invalid_argument& error)
@@ -201,7 +212,7 @@ TEST(ImageLevel, NamesViewOfARegionThatCannotBeCompared)
   {
     try
     {
-      ViewLevel(phantom.views()[0], constant, cv::Mat(), region, { 1.6, 1.6 });
+      ViewLevel(phantom.views()[0], asAttenuation(constant), cv::Mat(), region, { 1.6, 1.6 });
       FAIL();
     }
     catch (const std::invalid_argument& error)
@@ -221,28 +232,30 @@ TEST(AttenuationImage, IsTheLogarithmOfTransmission)
   intensity.offset = 100.0;
   intensity.air_counts = 10100.0;
   cv::Mat counts = (cv::Mat_<std::uint16_t>(1, 3) << 10100, 1100, 40);
-  cv::Mat attenuation;
-  attenuationImage(counts, intensity, attenuation);
+  const cv::Rect all(0, 0, 3, 1);
+  cv::Mat attenuation = AttenuationImage(counts, intensity)(all);
   EXPECT_NEAR(attenuation.at<float>(0), 0.0, 1e-6);
   EXPECT_NEAR(attenuation.at<float>(1), std::log(10.0), 1e-6);
   EXPECT_NEAR(attenuation.at<float>(2), std::log(10000.0), 1e-5);  // below the offset: one count
   intensity.air_counts.reset();
   counts.at<std::uint16_t>(0) = 5100;
-  attenuationImage(counts, intensity, attenuation);
+  attenuation = AttenuationImage(counts, intensity)(all);
   EXPECT_NEAR(attenuation.at<float>(1), std::log(5.0), 1e-6);
   intensity.kind = IntensityModel::Kind::ATTENUATION;
-  attenuationImage(counts, intensity, attenuation);
+  attenuation = AttenuationImage(counts, intensity)(all);
   EXPECT_EQ(attenuation.at<float>(1), 1100.0f);
+  attenuation = AttenuationImage(counts, intensity)(cv::Rect(1, 0, 2, 1));
+  EXPECT_EQ(attenuation.size(), cv::Size(2, 1));
+  EXPECT_EQ(attenuation.at<float>(0), 1100.0f);
 }
 
 TEST(AttenuationImage, RefusesWhatHasNoLogarithm)
 {
   IntensityModel intensity;
   intensity.offset = 100.0;
-  cv::Mat out;
-  EXPECT_THROW(attenuationImage(cv::Mat(), intensity, out), std::invalid_argument);
-  EXPECT_THROW(attenuationImage(cv::Mat(4, 4, CV_8UC3), intensity, out), std::invalid_argument);
-  EXPECT_THROW(attenuationImage(cv::Mat(4, 4, CV_16UC1, cv::Scalar(90)), intensity, out), std::invalid_argument);
-  EXPECT_THROW(attenuationImage(cv::Mat(4, 4, CV_32FC1, cv::Scalar(NAN)), intensity, out), std::invalid_argument);
+  EXPECT_THROW(AttenuationImage(cv::Mat(), intensity), std::invalid_argument);
+  EXPECT_THROW(AttenuationImage(cv::Mat(4, 4, CV_8UC3), intensity), std::invalid_argument);
+  EXPECT_THROW(AttenuationImage(cv::Mat(4, 4, CV_16UC1, cv::Scalar(90)), intensity), std::invalid_argument);
+  EXPECT_THROW(AttenuationImage(cv::Mat(4, 4, CV_32FC1, cv::Scalar(NAN)), intensity), std::invalid_argument);
 }
 }  // namespace xray_tracking

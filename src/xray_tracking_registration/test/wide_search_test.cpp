@@ -191,10 +191,10 @@ TEST_F(WideSearch, SlidesRenderingsRightly)
                         Projector::SHEAR_WARP);
     const RegistrationRequest request = expose();
     RunControl control(request, bodies.centre);
-    std::vector<cv::Mat> attenuation(request.views.size());
-    for (std::size_t v = 0; v < attenuation.size(); ++v)
+    std::vector<AttenuationImage> attenuation;
+    for (const RegistrationView& view : request.views)
     {
-      attenuationImage(request.views[v].image, request.intensity, attenuation[v]);
+      attenuation.emplace_back(view.image, request.intensity);
     }
     const xray_tracking::Run run{ request, attenuation, control };
     const PosePair start{ request.room_from_patient, request.room_from_patient };

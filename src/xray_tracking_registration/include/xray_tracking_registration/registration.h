@@ -56,7 +56,7 @@ struct RegistrationOptions
 struct RegistrationView
 {
   ProjectionGeometry geometry;
-  cv::Mat image;      ///< as attenuationImage() takes it, of the geometry's size
+  cv::Mat image;      ///< as AttenuationImage takes it, of the geometry's size
   cv::Rect region{};  ///< pixels to compare; empty: where the target box is seen from the start
   cv::Mat usable{};   ///< CV_8UC1 of the image's size, 0 for pixels that do not count; empty: all do
 };

@@ -1,0 +1,55 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <opencv2/core.hpp>
+
+namespace xray_tracking
+{
+/// Numbers of every pixel side by side, as all that is done to derivatives is done to every one of them alike: one or
+/// two vector registers a pixel. Row by row of the image.
+constexpr int kPixelRow = 16;
+using PixelRows = Eigen::Matrix<float, Eigen::Dynamic, kPixelRow, Eigen::RowMajor>;
+
+/// Nearly a Gaussian, by three running means one after another: as many operations for any width. Beyond the image is
+/// 0. After Gwosdek et al., Theoretical foundations of Gaussian convolution by extended box filtering, SSVM 2011: the
+/// two outermost numbers count partly, so that the standard deviation is met.
+class RunningBlur
+{
+public:
+  /// @param sigma standard deviation [pixels], above 0
+  explicit RunningBlur(double sigma);
+
+  /// @param image CV_32FC1, continuous
+  void operator()(cv::Mat& image) const;
+  /// @param size of the image
+  void operator()(PixelRows& rows, const cv::Size& size) const;
+
+private:
+  std::size_t bufferSize(int width, int height) const;
+
+  int reach_;     ///< of what counts wholly, to either side
+  float edge_;    ///< weight of the next one
+  float weight_;  ///< of the others
+};
+
+/// Takes the local means away from what counts.
+/// @param rows of the bordered image, times what counts; @param means the same, blurred
+/// @param factors of the means, of the bordered image, CV_32FC1: 0 for what does not count
+/// @param inner of the bordered image
+/// @return of the inner image
+PixelRows withoutMeans(const PixelRows& rows, const PixelRows& means, const cv::Mat& factors, const cv::Rect& inner);
+
+/// Makes every number of a pixel its derivative of a normalised image from that of the image: what lies along the
+/// image and along a constant is taken away. @param image mean 0, norm 1 over what counts
+/// @param valid 1 for pixels that count, 0 for others, as rows and image have it
+/// @param scale of the result
+void projectOut(const Eigen::VectorXf& image, const Eigen::VectorXf& valid, float scale, PixelRows& rows);
+
+/// Sums over the pixels: weight * row * row' and weight * difference * row.
+struct WeighedSums
+{
+  Eigen::Matrix<double, kPixelRow, kPixelRow> squares = Eigen::Matrix<double, kPixelRow, kPixelRow>::Zero();
+  Eigen::Matrix<double, kPixelRow, 1> products = Eigen::Matrix<double, kPixelRow, 1>::Zero();
+};
+WeighedSums weighedSums(const PixelRows& rows, const Eigen::VectorXf& weights, const Eigen::VectorXf& differences);
+}  // namespace xray_tracking
