@@ -1,5 +1,6 @@
 #include "xray_tracking_core/image/mixed_rows.h"
 
+#include <cmath>
 #include <cstdio>
 #include <string>
 
@@ -16,11 +17,12 @@ namespace
 constexpr int kMargin = 30;
 const cv::Rect kPart(140, 130, 150, 100);  // spine and ribs
 
-/// The scene, moved, with noise of its own.
+/// The scene with ribs all over it, moved, with noise of its own.
 cv::Mat exposeAt(const cv::Point& shift, std::uint64_t seed, double dose = kAir, double quantum = 0.2)
 {
   const cv::Rect seen(kMargin + shift.x, kMargin + shift.y, kSize - 2 * kMargin, kSize - 2 * kMargin);
-  return Scene().expose(dose, quantum, seed)(seen).clone();
+  const Shape ribs = [](double x, double y) { return std::fmod(y + 2.0 * x, 80.0) < 30.0; };
+  return Scene().cover(ribs, 0.7).expose(dose, quantum, seed)(seen).clone();
 }
 
 /// As MixedRows, of images alone.
@@ -123,6 +125,15 @@ TEST(MixedRows, areNoneAtAnEdgeAlongThem)
     const Shape plate = [edge](double, double y) { return y > edge; };
     EXPECT_EQ("", rows.look(Scene().cover(plate, 0.3).expose(), { 150, 140, 150, 100 })) << edge;
   }
+}
+
+/// Something with edges that no detector has blurred, in front of a part of the image.
+TEST(MixedRows, areNoneAtAThingsEdge)
+{
+  Rows rows;
+  cv::Mat image = exposeAt({ 2, 1 }, 3);
+  image(cv::Rect(170, 160, 80, 50)) = cv::Scalar(9000);
+  EXPECT_EQ("", rows.look(image, kPart));
 }
 
 class MixedRowsDataTest : public SharedDataTest

@@ -26,9 +26,12 @@ constexpr double kLeastApart = 1.5;
 constexpr double kSure = 4.0;         // standard deviations
 constexpr double kOfMedian = 1.4826;  // a standard deviation, of absolute values
 constexpr int kNarrow = 4;            // columns that become one where a seam is looked for: most noise goes
-/// Of a step to those beside it and to the median of all. Of the same sequences as they are 5.4 at most, torn 10 to
+constexpr int kMostNarrow = 48;       // of those
 /// 400; an edge that lies between two rows all along them has 7 behind a detector's blur of 0.65 px.
-constexpr double kLeastRatio = 8.0;
+constexpr float kLeastRatio = 8.f;
+/// A seam goes through all columns, a thing with an edge may be in two of these next to each other.
+constexpr int kBands = 4;
+constexpr float kLeastOfBand = 3.f;
 constexpr double kLeastTorn = 1.5;  // [px], as kLeastApart
 
 using Row = Eigen::Map<const Eigen::ArrayXf>;
@@ -45,8 +48,8 @@ Eigen::Map<Eigen::ArrayXf> rowOf(cv::Mat& values, int y)
 }
 
 /// Mean squares of an image's slopes [1/px^2], the larger one of both directions, without white noise: by products of
-/// slopes some pixels apart, which see the same structure. @param width of its pixels
-double slopes(const cv::Mat& values, double width)
+/// slopes some pixels apart, which see the same structure.
+double slopes(const cv::Mat& values)
 {
   double across = 0.0, along = 0.0;
   const int count = values.cols - 5;
@@ -56,8 +59,7 @@ double slopes(const cv::Mat& values, double width)
     across += static_cast<double>(((at(0, 2) - at(0, 0)) * (at(3, 2) - at(3, 0))).sum());
     along += static_cast<double>(((at(2, 1) - at(-2, 1)) * (at(2, 4) - at(-2, 4))).sum());
   }
-  return std::max({ across / (4.0 * width * width), along / 16.0, 1e-9 }) /
-         (static_cast<double>(values.rows - 7) * count);
+  return std::max({ across / 4.0, along / 16.0, 1e-9 }) / (static_cast<double>(values.rows - 7) * count);
 }
 
 /// Takes out of values what is like others and a constant. Sums of a row in single precision, for vectors.
@@ -123,22 +125,24 @@ double MixedRows::woven(const cv::Mat& image, const cv::Rect& part)
   const auto middle = sums_.begin() + static_cast<std::ptrdiff_t>(sums_.size() / 2);
   std::nth_element(sums_.begin(), middle, sums_.end());
   const double deviation = kOfMedian * *middle / std::sqrt(static_cast<double>(sums_.size()));
-  const double apart = std::sqrt(std::max(0.0, mean) / slopes(values_, 1.0));
+  slopes_ = slopes(values_);
+  const double apart = std::sqrt(std::max(0.0, mean) / slopes_);
   const double least = image.depth() == CV_32F ? 0.0 : kRounding;
   return mean > std::max(least, kSure * deviation) && apart > kLeastApart ? apart : 0.0;
 }
 
-int MixedRows::torn(const cv::Mat& image, const cv::Rect& where)
+int MixedRows::torn(const cv::Mat& image, const cv::Rect& field)
 {
-  values_.create(where.height, where.width / kNarrow, CV_32FC1);
+  const int every = std::max(kNarrow, field.width / kMostNarrow);
+  values_.create(field.height, (field.width - kNarrow) / every + 1, CV_32FC1);
   withPixelType(image,
                 [&](auto pixel)
                 {
                   for (int y = 0; y < values_.rows; ++y)
                   {
-                    const auto* from = image.ptr<decltype(pixel)>(where.y + y) + where.x;
+                    const auto* from = image.ptr<decltype(pixel)>(field.y + y) + field.x;
                     float* to = values_.ptr<float>(y);
-                    for (int x = 0; x < values_.cols; ++x, from += kNarrow)
+                    for (int x = 0; x < values_.cols; ++x, from += every)
                     {
                       to[x] = (static_cast<float>(from[0]) + static_cast<float>(from[1]) + static_cast<float>(from[2]) +
                                static_cast<float>(from[3])) /
@@ -147,27 +151,55 @@ int MixedRows::torn(const cv::Mat& image, const cv::Rect& where)
                   }
                 });
   const int count = values_.cols;
-  energies_.clear();
+  energies_.resize(values_.rows - 1, kBands);
   for (int y = 0; y + 1 < values_.rows; ++y)
   {
-    const auto before = rowOf(values_, y, 0, count), behind = rowOf(values_, y + 1, 0, count);
-    step_ = behind - before;
-    middle_ = 0.5f * (behind + before);
-    GainAndOffset of_half;
-    of_half.add(step_, middle_);
-    of_half.removeFrom(step_, middle_);
-    energies_.push_back(static_cast<double>(step_.square().sum()) / count);
-  }
-  sorted_ = energies_;
-  std::nth_element(sorted_.begin(), sorted_.begin() + static_cast<std::ptrdiff_t>(sorted_.size() / 2), sorted_.end());
-  const double usual = std::max(sorted_[sorted_.size() / 2], image.depth() == CV_32F ? 0.0 : kRounding);
-  const double least = kLeastTorn * kLeastTorn * slopes(values_, kNarrow);
-  for (std::size_t i = 1; i + 1 < energies_.size(); ++i)
-  {
-    const double beside = std::max({ energies_[i - 1], energies_[i + 1], usual });
-    if (energies_[i] > kLeastRatio * beside && energies_[i] - beside > least)
+    for (int band = 0; band < kBands; ++band)
     {
-      return where.y + static_cast<int>(i) + 1;
+      const int number = count / kBands, first = band * number;
+      const auto before = rowOf(values_, y, first, number), behind = rowOf(values_, y + 1, first, number);
+      step_ = behind - before;
+      middle_ = 0.5f * (behind + before);
+      // Of a band: a thing in front of another one would make a step in all.
+      GainAndOffset of_half;
+      of_half.add(step_, middle_);
+      of_half.removeFrom(step_, middle_);
+      energies_(y, band) = step_.square().sum() / static_cast<float>(number);
+    }
+  }
+  all_ = energies_.rowwise().mean();
+  const float rounding = image.depth() == CV_32F ? 0.f : static_cast<float>(kRounding);
+  const auto usual_of = [this, rounding](const auto& energies)
+  {
+    sorted_ = energies;
+    float* middle = sorted_.data() + sorted_.size() / 2;
+    std::nth_element(sorted_.data(), middle, sorted_.data() + sorted_.size());
+    return std::max(rounding, *middle);
+  };
+  const auto beside = [](const auto& energies, Eigen::Index y, float usual) {
+    return std::max({ energies[y - 1], energies[y + 1], usual });
+  };
+  const float usual = usual_of(all_);
+  const float least = static_cast<float>(kLeastTorn * kLeastTorn * slopes_);
+  for (Eigen::Index y = 1; y + 1 < all_.size(); ++y)
+  {
+    const float around = beside(all_, y, usual);
+    if (all_[y] > kLeastRatio * around && all_[y] - around > least)
+    {
+      int first = kBands, last = -1;
+      for (int band = 0; band < kBands; ++band)
+      {
+        const auto of_band = energies_.col(band);
+        if (of_band[y] > kLeastOfBand * beside(of_band, y, usual_of(of_band)))
+        {
+          first = std::min(first, band);
+          last = band;
+        }
+      }
+      if (last - first > 1)
+      {
+        return field.y + static_cast<int>(y) + 1;
+      }
     }
   }
   return -1;
@@ -187,12 +219,13 @@ const std::string& MixedRows::look(const cv::Mat& image, const cv::Rect& part, c
         "every other row is of another exposure: they are about " + std::to_string(std::lround(apart)) + " px apart";
     return fault_;
   }
-  const cv::Rect columns = field.inside({ seen.x, 0, seen.width, image.rows });
-  if (columns.width < kLeastSize || columns.height < kLeastSize)
+  const cv::Rect wide(seen.x - seen.width / 2, 0, 2 * seen.width, image.rows);
+  const cv::Rect inside = field.inside(wide & cv::Rect(cv::Point(), image.size()));
+  if (inside.width < kLeastSize || inside.height < kLeastSize)
   {
     return fault_;
   }
-  if (const int row = torn(image, columns); row >= 0)
+  if (const int row = torn(image, inside); row >= 0)
   {
     fault_ = "the rows from " + std::to_string(row) + " on are of another exposure than those before";
   }
