@@ -4,6 +4,7 @@
 #include <array>
 #include <cmath>
 #include <cstddef>
+#include <iterator>
 #include <numeric>
 
 #include <Eigen/Core>
@@ -22,7 +23,8 @@ constexpr int kSamples = 400;  // bins that quantiles are taken of, at least, if
 /// normally distributed values, in standard deviations.
 constexpr double kQuieter = 0.25;
 constexpr float kRangeOfThree = 1.024f;
-constexpr float kLit = 0.01f;  // of the brightest: what has quantum noise
+constexpr float kOfQuartile = 1.8f;  // standard deviation of its square, times the root of the number, as a share of it
+constexpr float kLit = 0.01f;        // of the brightest: what has quantum noise
 /// Attenuation beyond this is not in line integrals, but in units of which nothing is known.
 constexpr double kLargestAttenuation = 16.0;
 constexpr double kUsualLargest = 8.0;
@@ -119,7 +121,7 @@ void ImageBins::update(const cv::Mat& image, const IntensityModel& intensity)
   }
   brightest_ = quantile(sorted_, kBrightest);
   step_ = counts && image.depth() != CV_32F ? 1.f : 0.f;
-  noise_ = quantum_ = 0.f;
+  noise_ = quantum_ = growth_ = growth_error_ = 0.f;
   if (counts)
   {
     measureNoise(intensity.offset);
@@ -144,6 +146,25 @@ void ImageBins::measureNoise(double offset)
     }
   }
   quantum_ = quantile(sorted_, kQuieter);
+
+  const auto middle = samples_.begin() + static_cast<std::ptrdiff_t>(samples_.size() / 2);
+  std::nth_element(samples_.begin(), middle, samples_.end(),
+                   [](const Sample& a, const Sample& b) { return a.value < b.value; });
+  const auto of_half = [this](auto first, auto last, auto figure, double share)
+  {
+    sorted_.clear();
+    std::transform(first, last, std::back_inserter(sorted_), figure);
+    return quantile(sorted_, share);
+  };
+  const auto value = [](const Sample& sample) { return sample.value; };
+  const auto range = [](const Sample& sample) { return sample.range / kRangeOfThree; };
+  const float apart = of_half(middle, samples_.end(), value, 0.5) - of_half(samples_.begin(), middle, value, 0.5);
+  const float bright = of_half(middle, samples_.end(), range, kQuieter);
+  const float dark = of_half(samples_.begin(), middle, range, kQuieter);
+  growth_ = apart > 0.f ? (squared(bright) - squared(dark)) / apart : 0.f;
+  growth_error_ = apart > 0.f ? kOfQuartile * std::hypot(squared(bright), squared(dark)) /
+                                    (apart * std::sqrt(0.5f * static_cast<float>(samples_.size())))
+                              : 0.f;
 }
 
 double ImageBins::correlation() const

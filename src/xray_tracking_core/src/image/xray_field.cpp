@@ -20,14 +20,17 @@ constexpr double kLeastField = 0.01;
 constexpr double kLeastCorrelation = 0.3;
 constexpr float kLeastLevel = 2.f;  // of the brightest bins, in standard deviations of a pixel
 /// Of the light before: a panel's lag is about 3 % in the first image after it and 0.5 % in the fiftieth (Starman et
-/// al. 2011), so it falls as the root of their number; blades leave some bins as they were.
+/// al. 2011); blades leave some bins as they were.
 constexpr double kLag = 1.0 / 16.0;
 /// Of the first dark image's contrast: lag has 0.7 of it in the second one, the dose of a panel that lags a little
 /// more.
 constexpr double kStays = 0.85;
-/// Of the noise that so much light had before, as a variance: what comes out of traps has next to none of that, an
-/// exposure has all of it and a panel's own noise beside it.
-constexpr float kAsNoisy = 0.4f;
+/// Of what the noise grew by with light before: what comes out of traps has next to none of that, an exposure all of
+/// it.
+constexpr float kAsNoisy = 0.5f;
+constexpr float kSure = 3.f;        // standard deviations
+constexpr int kDarkImages = 4;      // that it takes at least
+constexpr double kForgets = 0.98;   // an image, where noise does not tell: a thirtieth is a dose after 36 of them
 constexpr double kByNoise = 3.0;    // standard deviations: where little came through before
 constexpr double kBrighter = 0.01;  // of the bins
 
@@ -60,8 +63,9 @@ struct XrayField::Implementation
   ImageBins bins;
   FieldBorder border;
   std::string nothing;
-  cv::Mat light_before;  ///< of the last image that showed something
-  float quantum_before = 0.f;
+  cv::Mat light_before;       ///< of the last image that showed something
+  float growth_before = 0.f;  ///< of the noise, as that of the dark images together
+  float growth = 0.f, variance_of_growth = 0.f;
   int type_before = -1;
   cv::Mat first_dark;  ///< light of the first image after it that had little of its light
   int dark = 0;        ///< number of those images, up to now
@@ -106,15 +110,25 @@ struct XrayField::Implementation
     if (++dark == 1)
     {
       light.copyTo(first_dark);
-      return true;
+      growth = variance_of_growth = 0.f;
     }
-    const bool tells = quantum_before > 0.f && bins.quantum() > 0.f;
-    const bool as_noisy = bins.quantum() > kAsNoisy * quantum_before;
-    if (tells && !as_noisy)
+    growth += bins.growth();
+    variance_of_growth += bins.growthError() * bins.growthError();
+    // A panel that is black but for rounding has no noise to tell by.
+    if (growth_before > 0.f && bins.quantum() > 0.f)
     {
-      return true;
+      const float usual = kAsNoisy * growth_before * static_cast<float>(dark);
+      const float error = kSure * std::sqrt(variance_of_growth);
+      if (growth + error < usual)
+      {
+        return true;
+      }
+      if (dark >= kDarkImages && growth - error > usual && contrastLeft() > kStays)
+      {
+        return false;
+      }
     }
-    return !(tells && contrastLeft() > kStays) && isBelow(kLag / std::sqrt(dark));
+    return isBelow(kLag * std::pow(kForgets, dark));
   }
 
   /// The bins that a part of the image touches.
@@ -171,7 +185,7 @@ void XrayField::update(const cv::Mat& image, const IntensityModel& intensity)
   }
   i.bins.light().copyTo(i.light_before);
   i.first_dark.create(i.light_before.size(), CV_32FC1);
-  i.quantum_before = i.bins.quantum();
+  i.growth_before = i.bins.growth();
   i.dark = 0;
   i.type_before = image.type();
 }

@@ -19,9 +19,8 @@ namespace xray_tracking
 /// is no border. With the penumbra, a bin.
 ///
 /// An image with less than a sixteenth of the light of the one before, nearly everywhere, is what a panel remembers of
-/// that one while X-rays are off. It is a dose from the second one on if its contrast stays and it has the noise of so
-/// much light; and if noise does not tell, where it has more light than lag has after so many images: a thirtieth is
-/// one in the fifth, a hundredth in the fortieth.
+/// that one while X-rays are off. It is a dose, from the fourth one on, if its contrast stays and its noise grows with
+/// light as before; where noise does not tell, after tens of images.
 ///
 /// Not thread-safe. No allocation after the first image of a size, but for words about an image that shows nothing.
 class XrayField
