@@ -25,22 +25,6 @@ cv::Mat exposeAt(const cv::Point& shift, std::uint64_t seed, double dose = kAir,
   return Scene().cover(ribs, 0.7).expose(dose, quantum, seed)(seen).clone();
 }
 
-/// As MixedRows, of images alone.
-class Rows
-{
-public:
-  const std::string& look(const cv::Mat& image, const cv::Rect& part)
-  {
-    XrayField field;
-    field.update(image, { IntensityModel::Kind::COUNTS, 0.0, {} });
-    EXPECT_EQ("", field.nothing());
-    return rows_.look(image, part, field);
-  }
-
-private:
-  MixedRows rows_;
-};
-
 cv::Mat woven(const cv::Mat& image, const cv::Mat& before, int first)
 {
   cv::Mat mixed = image.clone();
@@ -51,16 +35,9 @@ cv::Mat woven(const cv::Mat& image, const cv::Mat& before, int first)
   return mixed;
 }
 
-cv::Mat torn(const cv::Mat& image, const cv::Mat& before, int row)
-{
-  cv::Mat mixed = image.clone();
-  before.rowRange(row, image.rows).copyTo(mixed.rowRange(row, image.rows));
-  return mixed;
-}
-
 TEST(MixedRows, areToldWhereWhatIsSeenHasMoved)
 {
-  Rows rows;
+  MixedRows rows;
   for (const cv::Point& shift : { cv::Point(5, 0), cv::Point(4, 3), cv::Point(-6, 2), cv::Point(12, 2) })
   {
     const cv::Mat now = exposeAt(shift, 1), before = exposeAt({}, 2);
@@ -68,17 +45,12 @@ TEST(MixedRows, areToldWhereWhatIsSeenHasMoved)
     {
       EXPECT_NE(std::string::npos, rows.look(woven(now, before, first), kPart).find("every other row")) << shift;
     }
-    for (const int row : { 60, 171, 320 })  // at edges above the part, in it, and below
-    {
-      EXPECT_NE(std::string::npos, rows.look(torn(now, before, row), kPart).find("from " + std::to_string(row)))
-          << shift << ", row " << row << ": " << rows.look(torn(now, before, row), kPart);
-    }
   }
 }
 
 TEST(MixedRows, areNoneInOneExposure)
 {
-  Rows rows;
+  MixedRows rows;
   for (const double dose : { 5000.0, 20000.0, 60000.0 })
   {
     for (const double quantum : { 0.0, 0.1, 1.0, 5.0 })
@@ -93,7 +65,6 @@ TEST(MixedRows, areNoneInOneExposure)
       // Two exposures of what stands still are as good as one.
       const cv::Mat other = exposeAt({ 2, 1 }, 4, dose, quantum);
       EXPECT_EQ("", rows.look(woven(image, other, 0), kPart));
-      EXPECT_EQ("", rows.look(torn(image, other, 171), kPart));
     }
   }
   EXPECT_EQ("", rows.look(exposeAt({}, 1), { -100, -100, 130, 130 })) << "too small a part inside";
@@ -102,7 +73,7 @@ TEST(MixedRows, areNoneInOneExposure)
 /// Two amplifiers for odd and even rows, a panel of two halves, correlated noise.
 TEST(MixedRows, areNoneOfADetectorsOwn)
 {
-  Rows rows;
+  MixedRows rows;
   cv::Mat image = exposeAt({}, 3);
   for (int y = 0; y < image.rows; y += 2)
   {
@@ -119,7 +90,7 @@ TEST(MixedRows, areNoneOfADetectorsOwn)
 /// A thick plate's edge along a row, which a detector's blur spreads over some.
 TEST(MixedRows, areNoneAtAnEdgeAlongThem)
 {
-  Rows rows;
+  MixedRows rows;
   for (double edge = 200.0; edge < 201.0; edge += 0.25)
   {
     const Shape plate = [edge](double, double y) { return y > edge; };
@@ -130,7 +101,7 @@ TEST(MixedRows, areNoneAtAnEdgeAlongThem)
 /// Something with edges that no detector has blurred, in front of a part of the image.
 TEST(MixedRows, areNoneAtAThingsEdge)
 {
-  Rows rows;
+  MixedRows rows;
   cv::Mat image = exposeAt({ 2, 1 }, 3);
   image(cv::Rect(170, 160, 80, 50)) = cv::Scalar(9000);
   EXPECT_EQ("", rows.look(image, kPart));
@@ -155,7 +126,7 @@ protected:
 
 TEST_F(MixedRowsDataTest, realExposuresHaveNone)
 {
-  Rows rows;
+  MixedRows rows;
   const auto expect_none = [&](const std::string& file)
   {
     const cv::Mat image = read(file);

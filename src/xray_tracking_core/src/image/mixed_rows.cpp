@@ -7,8 +7,6 @@
 
 #include <Eigen/Core>
 
-#include "pixel_type.h"
-
 namespace xray_tracking
 {
 namespace
@@ -25,14 +23,6 @@ constexpr int kBlock = 16;         // edge of the blocks whose scatter tells how
 constexpr double kLeastApart = 1.5;
 constexpr double kSure = 4.0;         // standard deviations
 constexpr double kOfMedian = 1.4826;  // a standard deviation, of absolute values
-constexpr int kNarrow = 4;            // columns that become one where a seam is looked for: most noise goes
-constexpr int kMostNarrow = 48;       // of those
-/// 400; an edge that lies between two rows all along them has 7 behind a detector's blur of 0.65 px.
-constexpr float kLeastRatio = 8.f;
-/// A seam goes through all columns, a thing with an edge may be in two of these next to each other.
-constexpr int kBands = 4;
-constexpr float kLeastOfBand = 3.f;
-constexpr double kLeastTorn = 1.5;  // [px], as kLeastApart
 
 using Row = Eigen::Map<const Eigen::ArrayXf>;
 
@@ -125,87 +115,12 @@ double MixedRows::woven(const cv::Mat& image, const cv::Rect& part)
   const auto middle = sums_.begin() + static_cast<std::ptrdiff_t>(sums_.size() / 2);
   std::nth_element(sums_.begin(), middle, sums_.end());
   const double deviation = kOfMedian * *middle / std::sqrt(static_cast<double>(sums_.size()));
-  slopes_ = slopes(values_);
-  const double apart = std::sqrt(std::max(0.0, mean) / slopes_);
+  const double apart = std::sqrt(std::max(0.0, mean) / slopes(values_));
   const double least = image.depth() == CV_32F ? 0.0 : kRounding;
   return mean > std::max(least, kSure * deviation) && apart > kLeastApart ? apart : 0.0;
 }
 
-int MixedRows::torn(const cv::Mat& image, const cv::Rect& field)
-{
-  const int every = std::max(kNarrow, field.width / kMostNarrow);
-  values_.create(field.height, (field.width - kNarrow) / every + 1, CV_32FC1);
-  withPixelType(image,
-                [&](auto pixel)
-                {
-                  for (int y = 0; y < values_.rows; ++y)
-                  {
-                    const auto* from = image.ptr<decltype(pixel)>(field.y + y) + field.x;
-                    float* to = values_.ptr<float>(y);
-                    for (int x = 0; x < values_.cols; ++x, from += every)
-                    {
-                      to[x] = (static_cast<float>(from[0]) + static_cast<float>(from[1]) + static_cast<float>(from[2]) +
-                               static_cast<float>(from[3])) /
-                              kNarrow;
-                    }
-                  }
-                });
-  const int count = values_.cols;
-  energies_.resize(values_.rows - 1, kBands);
-  for (int y = 0; y + 1 < values_.rows; ++y)
-  {
-    for (int band = 0; band < kBands; ++band)
-    {
-      const int number = count / kBands, first = band * number;
-      const auto before = rowOf(values_, y, first, number), behind = rowOf(values_, y + 1, first, number);
-      step_ = behind - before;
-      middle_ = 0.5f * (behind + before);
-      // Of a band: a thing in front of another one would make a step in all.
-      GainAndOffset of_half;
-      of_half.add(step_, middle_);
-      of_half.removeFrom(step_, middle_);
-      energies_(y, band) = step_.square().sum() / static_cast<float>(number);
-    }
-  }
-  all_ = energies_.rowwise().mean();
-  const float rounding = image.depth() == CV_32F ? 0.f : static_cast<float>(kRounding);
-  const auto usual_of = [this, rounding](const auto& energies)
-  {
-    sorted_ = energies;
-    float* middle = sorted_.data() + sorted_.size() / 2;
-    std::nth_element(sorted_.data(), middle, sorted_.data() + sorted_.size());
-    return std::max(rounding, *middle);
-  };
-  const auto beside = [](const auto& energies, Eigen::Index y, float usual) {
-    return std::max({ energies[y - 1], energies[y + 1], usual });
-  };
-  const float usual = usual_of(all_);
-  const float least = static_cast<float>(kLeastTorn * kLeastTorn * slopes_);
-  for (Eigen::Index y = 1; y + 1 < all_.size(); ++y)
-  {
-    const float around = beside(all_, y, usual);
-    if (all_[y] > kLeastRatio * around && all_[y] - around > least)
-    {
-      int first = kBands, last = -1;
-      for (int band = 0; band < kBands; ++band)
-      {
-        const auto of_band = energies_.col(band);
-        if (of_band[y] > kLeastOfBand * beside(of_band, y, usual_of(of_band)))
-        {
-          first = std::min(first, band);
-          last = band;
-        }
-      }
-      if (last - first > 1)
-      {
-        return field.y + static_cast<int>(y) + 1;
-      }
-    }
-  }
-  return -1;
-}
-
-const std::string& MixedRows::look(const cv::Mat& image, const cv::Rect& part, const XrayField& field)
+const std::string& MixedRows::look(const cv::Mat& image, const cv::Rect& part)
 {
   fault_.clear();
   const cv::Rect seen = part & cv::Rect(cv::Point(), image.size());
@@ -217,17 +132,6 @@ const std::string& MixedRows::look(const cv::Mat& image, const cv::Rect& part, c
   {
     fault_ =
         "every other row is of another exposure: they are about " + std::to_string(std::lround(apart)) + " px apart";
-    return fault_;
-  }
-  const cv::Rect wide(seen.x - seen.width / 2, 0, 2 * seen.width, image.rows);
-  const cv::Rect inside = field.inside(wide & cv::Rect(cv::Point(), image.size()));
-  if (inside.width < kLeastSize || inside.height < kLeastSize)
-  {
-    return fault_;
-  }
-  if (const int row = torn(image, inside); row >= 0)
-  {
-    fault_ = "the rows from " + std::to_string(row) + " on are of another exposure than those before";
   }
   return fault_;
 }

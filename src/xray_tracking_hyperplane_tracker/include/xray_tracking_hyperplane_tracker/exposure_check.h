@@ -40,12 +40,8 @@ public:
   /// the next call. No allocation after the first one.
   const cv::Mat& repaired(const cv::Mat& image);
 
-  /// Why the last image, repaired, is of two exposures around a part of it; empty: it is not. Valid until the next
-  /// call.
-  const std::string& mixed(const cv::Mat& repaired, const cv::Rect& part)
-  {
-    return mixed_.look(repaired, part, field_);
-  }
+  /// Why a part of a repaired image is of two exposures; empty: it is not. Valid until the next call.
+  const std::string& mixed(const cv::Mat& repaired, const cv::Rect& part) { return mixed_.look(repaired, part); }
 
   /// Forgets all exposures and the stuck pixels.
   void reset();
