@@ -179,6 +179,42 @@ TEST_F(ImageInspectorTest, findsLinesOfAnotherGain)
   EXPECT_LE(inspect(image).stuck, 1e-4);
 }
 
+/// A long bone along the columns or rows of a quiet image of 8 bit: all along it X-rays pass most bone at its inner
+/// surface, where the image is darkest.
+TEST_F(ImageInspectorTest, aCortexAlongRowsOrColumnsIsNoFaultyLine)
+{
+  for (const double outer : { 12.0, 20.0, 40.0 })
+  {
+    for (const double thickness : { 1.5, 2.5, 4.0, 7.0 })
+    {
+      for (const double blur : { 0.5, 0.8, 1.5 })
+      {
+        SCOPED_TRACE(testing::Message() << outer << " px, cortex of " << thickness << ", blur of " << blur);
+        const auto chord = [](double radius, double x) { return std::sqrt(std::max(0.0, radius * radius - x * x)); };
+        cv::Mat light(kSize, kSize, CV_32FC1), noise(kSize, kSize, CV_32FC1), image;
+        cv::RNG(4).fill(noise, cv::RNG::NORMAL, 0.0, 0.4);
+        for (int y = 0; y < kSize; ++y)
+        {
+          for (int x = 0; x < kSize; ++x)
+          {
+            const double bone = chord(outer, x - 256.3) - chord(outer - thickness, x - 256.3);
+            light.at<float>(y, x) = static_cast<float>(150.0 * std::exp(-0.08 * bone - 0.2 * std::cos(0.01 * y)));
+          }
+        }
+        cv::GaussianBlur(light, light, {}, blur);
+        light += noise;
+        light.convertTo(image, CV_8U);
+        const IntensityModel eight{ IntensityModel::Kind::COUNTS, 0.0, {} };
+        EXPECT_EQ(0.0, inspect(image, eight).stuck);
+        EXPECT_EQ(0.0, inspect(image.t(), eight).stuck);
+        // A line of the detector on it is one nevertheless.
+        image.col(256) *= 0.85;
+        EXPECT_GE(shareWith(inspect(image, eight), STUCK, [](double x, double) { return x == 256.0; }), 1.0);
+      }
+    }
+  }
+}
+
 /// A clock in white, which goes on.
 TEST_F(ImageInspectorTest, repairsLettering)
 {
@@ -390,6 +426,27 @@ TEST_F(ImageInspectorDataTest, simulatedThoraxIsUsableAsAWhole)
             inspect("sequences/" + std::string(sequence) + "/" + entry.path().filename().string(), 100);
         EXPECT_EQ("", report.describe()) << entry.path();
       }
+    }
+  }
+}
+
+/// Bones along rows and columns, whatever way they lay: images turned by some degrees.
+TEST_F(ImageInspectorDataTest, realBonesAreNoFaultyLines)
+{
+  for (const char* file :
+       { "sequences/knee_real/detector_a_000.png", "sequences/knee_real/detector_b_020.png",
+         "wrist_biplane/images/xr_rad_uln_cam01_UND.0099.tif", "wrist_biplane/images/xr_rad_uln_cam02_UND.0158.tif" })
+  {
+    cv::Mat image = cv::imread(folder_ + "/" + file, cv::IMREAD_UNCHANGED);
+    ASSERT_FALSE(image.empty()) << file;
+    cv::resize(image, image, {}, 0.25, 0.25, cv::INTER_AREA);  // so that noise hides nothing
+    const cv::Point2f centre(0.5f * image.cols, 0.5f * image.rows);
+    for (int angle = 0; angle < 180; angle += 2)
+    {
+      cv::Mat turned;
+      cv::warpAffine(image, turned, cv::getRotationMatrix2D(centre, angle, 1.0), image.size(), cv::INTER_LINEAR);
+      EXPECT_LE(ImageInspector().inspect(turned, { IntensityModel::Kind::COUNTS, 0.0, {} }).stuck, 2e-4)
+          << file << " turned by " << angle << " degrees";
     }
   }
 }

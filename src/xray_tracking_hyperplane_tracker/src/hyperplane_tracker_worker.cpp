@@ -423,7 +423,14 @@ void HyperplaneTrackerRos::track(const cv::Mat& pixels, TrackedRegion& result)
       return;
     }
   }
-  TrackResult track = tracker_->track(check_->repaired(pixels));
+  const cv::Mat& repaired = check_->repaired(pixels);
+  if (const std::string& mixed = check_->mixed(repaired, tracker_->lastPlace()); !mixed.empty())
+  {
+    result.state = TrackedRegion::BLIND;
+    result.fault = mixed;
+    return;
+  }
+  TrackResult track = tracker_->track(repaired);
   if (!track.found() && isFound(logged_state_) && check_->learnStuck(pixels))
   {
     track = tracker_->track(check_->repaired(pixels));

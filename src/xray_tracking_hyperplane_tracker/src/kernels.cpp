@@ -260,6 +260,33 @@ XRAY_TRACKING_AVX2 float dotAvx2(const float* a, const float* b, std::ptrdiff_t 
   }
   return sum;
 }
+
+/// Four columns at once, which load what they are multiplied by once; whole vectors of them.
+XRAY_TRACKING_AVX2 __m128 fourDotsAvx2(const float* columns, const float* b, std::ptrdiff_t count)
+{
+  __m256 sums[4] = { _mm256_setzero_ps(), _mm256_setzero_ps(), _mm256_setzero_ps(), _mm256_setzero_ps() };
+  for (std::ptrdiff_t i = 0; i + 8 <= count; i += 8)
+  {
+    const __m256 values = _mm256_loadu_ps(b + i);
+    for (int k = 0; k < 4; ++k)
+    {
+      sums[k] = _mm256_fmadd_ps(_mm256_loadu_ps(columns + k * count + i), values, sums[k]);
+    }
+  }
+  const __m256 pairs = _mm256_hadd_ps(_mm256_hadd_ps(sums[0], sums[1]), _mm256_hadd_ps(sums[2], sums[3]));
+  return _mm_add_ps(_mm256_castps256_ps128(pairs), _mm256_extractf128_ps(pairs, 1));
+}
+
+XRAY_TRACKING_AVX2 std::ptrdiff_t dotsAvx2(const float* columns, std::ptrdiff_t number, const float* b,
+                                           std::ptrdiff_t count, float* sums)
+{
+  std::ptrdiff_t k = 0;
+  for (; count % 8 == 0 && k + 4 <= number; k += 4)
+  {
+    _mm_storeu_ps(sums + k, fourDotsAvx2(columns + k * count, b, count));
+  }
+  return k;
+}
 #endif
 }  // namespace
 
@@ -313,5 +340,17 @@ float dot(const float* a, const float* b, std::ptrdiff_t count)
   }
 #endif
   return dotPlain(a, b, 0, count);
+}
+
+void dots(const float* columns, std::ptrdiff_t number, const float* b, std::ptrdiff_t count, float* sums)
+{
+  std::ptrdiff_t done = 0;
+#ifdef XRAY_TRACKING_AVX2
+  done = kHasAvx2 ? dotsAvx2(columns, number, b, count, sums) : 0;
+#endif
+  for (; done < number; ++done)
+  {
+    sums[done] = dot(columns + done * count, b, count);
+  }
 }
 }  // namespace xray_tracking

@@ -33,4 +33,7 @@ void attenuate(float* values, std::ptrdiff_t count, float offset);
 
 /// sum a_i b_i
 float dot(const float* a, const float* b, std::ptrdiff_t count);
+
+/// The same of each of a number of columns that lie one after the other, `count` values in one.
+void dots(const float* columns, std::ptrdiff_t number, const float* b, std::ptrdiff_t count, float* sums);
 }  // namespace xray_tracking

@@ -25,11 +25,10 @@ void RegionFit::sumTiles()
     float* differences = sampled_.data() + tile.begin;
     std::fill(differences + tile.count, differences + tile.padded, 0.f);
     float* sums = sums_.col(static_cast<Eigen::Index>(t)).data();
-    for (int k = 0; k < 2 * parameters_ + kShadings; ++k, column += tile.padded)
-    {
-      *sums++ = dot(column, differences, tile.padded);
-    }
-    *sums = dot(differences, differences, tile.padded);
+    const int count = 2 * parameters_ + kShadings;
+    dots(column, count, differences, tile.padded, sums);
+    sums[count] = dot(differences, differences, tile.padded);
+    column += count * tile.padded;
   }
 }
 

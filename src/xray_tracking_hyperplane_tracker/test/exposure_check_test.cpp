@@ -148,6 +148,22 @@ TEST(ExposureCheck, tellsWhatShowsNothingNew)
   EXPECT_EQ("", check.look(first, 1));
 }
 
+TEST(ExposureCheck, tellsRowsOfTwoExposures)
+{
+  ExposureCheck check(kCounts);
+  const cv::Mat before = exposeAt({ 0.0, 0.0 }, 1), now = exposeAt({ 5.0, 2.0 }, 2);
+  EXPECT_EQ("", check.look(before, 1));
+  EXPECT_EQ("", check.mixed(before, kRegion));
+  cv::Mat woven = now.clone();
+  for (int y = 1; y < now.rows; y += 2)
+  {
+    before.row(y).copyTo(woven.row(y));
+  }
+  EXPECT_EQ("", check.look(now, 2));
+  EXPECT_EQ("", check.mixed(now, kRegion));
+  EXPECT_NE(std::string::npos, check.mixed(woven, kRegion).find("every other row"));
+}
+
 TEST(ExposureCheck, learnsStuckPixelsLater)
 {
   ExposureCheck check(kCounts);

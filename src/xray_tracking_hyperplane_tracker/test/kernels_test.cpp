@@ -149,6 +149,19 @@ TEST(Kernels, dotAsADoubleSum)
   EXPECT_NEAR(dot(a.data(), b.data(), kCount), a.cast<double>().dot(b.cast<double>()), 1e-5);
 }
 
+TEST(Kernels, dotsAsDoubleSums)
+{
+  for (const int count : { 24, 29 })  // whole vectors, and not
+  {
+    const Eigen::MatrixXf columns = Eigen::MatrixXf::Random(count, 11);
+    const Eigen::VectorXf b = Eigen::VectorXf::Random(count);
+    Eigen::VectorXf sums(11);
+    dots(columns.data(), 11, b.data(), count, sums.data());
+    const Eigen::VectorXd expected = columns.cast<double>().transpose() * b.cast<double>();
+    EXPECT_LT((sums.cast<double>() - expected).cwiseAbs().maxCoeff(), 1e-5) << count;
+  }
+}
+
 TEST(Warp, exponentialOfARotationIsOne)
 {
   Parameters m(3);

@@ -182,8 +182,9 @@ TEST(Trackers, takeLittleOfOneCoreAndCopyNothing)
   EXPECT_EQ(large_allocations, allocations);
   RecordProperty("percent_of_a_core", std::to_string(100.0 * share));
   std::cout << kTrackers << " trackers at " << kRate << " Hz take " << 100.0 * share << " % of a core\n";
-  // 18 % were measured beside other work, before each exposure was looked at and rotations were followed 8 to 9 %.
-  EXPECT_LT(share, 0.30);
+  // 14 to 18 % were measured beside other work, once 22; before each exposure was looked at and rotations were followed
+  // 8 to 9 %.
+  EXPECT_LT(share, 0.25);
 }
 }  // namespace
 

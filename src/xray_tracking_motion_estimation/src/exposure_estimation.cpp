@@ -19,6 +19,10 @@ using xray_tracking_msgs::TrackedRegion;
 /// Distance from the region's centre that stands for its size in the report of what is seen [mm].
 constexpr double kRegionExtent = 25.0;
 
+/// Nodes of one launch start within this time [s]: templates that trackers have learnt no earlier before this one's
+/// start are their first.
+constexpr double kStartUp = 5.0;
+
 static_assert(static_cast<int>(TrackModel::TRANSLATION) == TrackedRegion::TRANSLATION);
 static_assert(static_cast<int>(TrackModel::EUCLIDEAN) == TrackedRegion::EUCLIDEAN);
 static_assert(static_cast<int>(TrackModel::SIMILARITY) == TrackedRegion::SIMILARITY);
@@ -244,21 +248,28 @@ void MotionEstimationRos::findReferences()
 
 void MotionEstimationRos::judgeStart(const ros::Time& first, const ros::Time& last)
 {
-  std::ostringstream doubt;
-  if (first_unseen_ && last.toSec() - first_unseen_->toSec() > parameters_.pairing_tolerance)
+  const double tolerance = parameters_.pairing_tolerance;
+  const double unseen = first_unseen_ ? last.toSec() - first_unseen_->toSec() : 0.0;
+  const double apart = last.toSec() - first.toSec();
+  if (const double unknown = std::max(unseen, apart); unknown > tolerance)
   {
-    doubt << "the first exposures, from " << *first_unseen_ << " to " << last
-          << ", did not show the region, and the patient may have left the initial pose by then";
-    const double moved = parameters_.target_speed * (last.toSec() - first_unseen_->toSec());
+    const double moved = parameters_.target_speed * unknown;
     reference_covariance_.topLeftCorner<3, 3>() = moved * moved * Eigen::Matrix3d::Identity();
     estimator_->setReference(reference_, reference_covariance_);
   }
-  else if (last.toSec() - first.toSec() > parameters_.pairing_tolerance)
+  std::ostringstream doubt;
+  if (unseen > tolerance)
+  {
+    doubt << "the first exposures, from " << *first_unseen_ << " to " << last
+          << ", did not show the region, and the patient may have left the initial pose by then";
+  }
+  else if (apart > kStartUp)
   {
     doubt << "the first templates were learnt at different times, from " << first << " to " << last
           << ", and the patient may have moved from the initial pose meanwhile";
   }
-  else if (first_heard_->toSec() - first.toSec() > parameters_.pairing_tolerance)
+  // Stamps may be of another clock than this node's start: then what was heard tells.
+  else if (first_heard_->toSec() - first.toSec() > tolerance && started_.toSec() - first.toSec() > kStartUp)
   {
     doubt << "the first templates were learnt at " << first << ", before the first exposure that was heard of here, at "
           << *first_heard_ << ", and the patient may have been anywhere";

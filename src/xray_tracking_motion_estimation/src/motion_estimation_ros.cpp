@@ -44,6 +44,7 @@ MotionEstimationRos::MotionEstimationRos(const ros::NodeHandle& nh, const ros::N
   : nh_(nh),
     pnh_(pnh),
     history_(kHistoryCapacity),
+    started_(ros::Time::now()),
     last_diagnosis_(ros::SteadyTime::now()),
     tf_listener_(tf_buffer_, nh_),
     updater_(nh_, pnh_, pnh_.getNamespace())
@@ -133,6 +134,10 @@ void MotionEstimationRos::trackedRegionCb(const TrackedRegion::ConstPtr& message
   }
   setSilent(view, false);
   first_heard_ = std::min(first_heard_.value_or(message->header.stamp), message->header.stamp);
+  if (started_.isZero())
+  {
+    started_ = ros::Time::now();
+  }
   using Outcome = ExposureAssembler<TrackedRegion::ConstPtr>::Outcome;
   const ros::Time now = ros::Time::now();
   const Outcome outcome =
@@ -146,7 +151,7 @@ void MotionEstimationRos::trackedRegionCb(const TrackedRegion::ConstPtr& message
   {
     ROS_WARN_STREAM("exposures start again at " << stamp << ": forgetting the earlier ones");
     forget();
-    first_heard_ = stamp;
+    first_heard_ = started_ = stamp;
   }
 
   ++exposures_;

@@ -43,6 +43,12 @@ void UsablePixels::apply(std::int64_t stamp_ns, RegistrationRequest& request)
       detector.repair.apply(view.image, repaired);
       view.image = repaired;
     }
+    // In the middle half of the image: if rows are mixed, they are in all of it.
+    const cv::Rect middle(whole.width / 4, whole.height / 4, whole.width / 2, whole.height / 2);
+    if (const std::string& mixed = detector.mixed.look(view.image, middle); !mixed.empty())
+    {
+      throw std::invalid_argument(message("view ", view.geometry.name(), ": ", mixed));
+    }
   }
 }
 }  // namespace xray_tracking

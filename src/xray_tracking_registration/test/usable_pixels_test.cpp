@@ -4,6 +4,7 @@
 #include <string>
 
 #include <gtest/gtest.h>
+#include <opencv2/imgproc.hpp>
 
 #include "phantom_exposures.h"
 #include "xray_tracking_core/evaluation/evaluation.h"
@@ -146,6 +147,16 @@ TEST_F(UsablePixelsTest, namesTheViewThatShowsNothingNew)
   cv::randn(black.views[0].image, 100.0, 5.0);
   EXPECT_NE(std::string::npos, refusal(4000000000, black).find("detector_a: the image shows nothing"));
   EXPECT_EQ("", refusal(500000000, frozen)) << "one from before is no repetition";
+  RegistrationRequest woven = expose();
+  const cv::Mat before = woven.views[1].image;
+  cv::Mat moved = expose().views[1].image.clone();
+  cv::warpAffine(moved, moved, cv::Matx23d(1.0, 0.0, 6.0, 0.0, 1.0, 2.0), moved.size());
+  for (int y = 0; y < moved.rows; y += 2)
+  {
+    before.row(y).copyTo(moved.row(y));
+  }
+  woven.views[1].image = moved;
+  EXPECT_NE(std::string::npos, refusal(4500000000, woven).find("detector_b: every other row is of another exposure"));
   usable_.reset();
   EXPECT_EQ("", refusal(5000000000, exposure));
 }

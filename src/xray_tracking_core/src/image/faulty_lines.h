@@ -11,7 +11,8 @@ namespace xray_tracking
 /// No pixel of them need be apart from its neighbours by more than noise: nearly all of the line are brighter, or
 /// nearly all darker, than the pixels up to 3 px before and behind, by more than pixels of other lines
 /// differ, and than both neighbours do. An edge
-/// is brighter than what is on one side of it alone, and nothing thin in a patient lies along half a row of the image.
+/// is brighter than what is on one side of it alone. The ridge of a long bone's cortex may lie along half a row; but it
+/// rises towards both sides as a detector's blur lets it, where a line of the detector's own ends in a step.
 class FaultyLines
 {
 public:
@@ -32,6 +33,11 @@ private:
   /// Takes in one half of row y, against those `reach` before and behind, if it has pixels enough.
   void compare(const cv::Mat& values, const cv::Mat& flaws, const cv::Mat& faulty, const cv::Range& columns, int y,
                int reach);
+
+  /// How much brighter a row is than another one: the mean of the middle half of pixels without a flaw.
+  float rise(const cv::Mat& values, const cv::Mat& flaws, const cv::Range& columns, int from, int to);
+  /// Whether what is beside a group of odd lines lies apart from it, but not from what is behind.
+  bool isStep(const cv::Mat& values, const cv::Mat& flaws, const cv::Range& columns, const cv::Range& group);
 
   cv::Mat values_, faulty_, turned_values_, turned_flaws_, turned_faulty_;
   std::vector<Line> odd_;

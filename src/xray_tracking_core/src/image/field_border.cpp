@@ -79,18 +79,26 @@ void FieldBorder::update(const ImageBins& bins)
   outside_.create(opened_.size(), CV_8UC1);
   outside_.setTo(0);
   any_ = false;
+  // Most rays begin so bright that no rise is steep.
+  using Image = Eigen::Map<const Eigen::Array<float, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>>;
+  const Image all(opened_.ptr<float>(), rows, columns);
+  largest_of_row_ = all.rowwise().maxCoeff();
+  largest_of_column_ = all.colwise().maxCoeff();
+  const auto mark = [this, &least](int x, int y, std::ptrdiff_t stride, int count, float largest)
+  {
+    const float* light = opened_.ptr<float>(y) + x;
+    any_ |= *light < kRise * largest && markRay(light, outside_.ptr(y) + x, stride, count, least);
+  };
+  const std::ptrdiff_t stride = columns;  // of both: neither is a part of another image
   for (int y = 0; y < rows; ++y)
   {
-    const float* light = opened_.ptr<float>(y);
-    std::uint8_t* marks = outside_.ptr(y);
-    any_ |= markRay(light, marks, 1, columns, least);
-    any_ |= markRay(light + columns - 1, marks + columns - 1, -1, columns, least);
+    mark(0, y, 1, columns, largest_of_row_[y]);
+    mark(columns - 1, y, -1, columns, largest_of_row_[y]);
   }
-  const std::ptrdiff_t stride = columns;  // of both: neither is a part of another image
   for (int x = 0; x < columns; ++x)
   {
-    any_ |= markRay(opened_.ptr<float>() + x, outside_.ptr() + x, stride, rows, least);
-    any_ |= markRay(opened_.ptr<float>(rows - 1) + x, outside_.ptr(rows - 1) + x, -stride, rows, least);
+    mark(x, 0, stride, rows, largest_of_column_[x]);
+    mark(x, rows - 1, -stride, rows, largest_of_column_[x]);
   }
   if (!any_)
   {

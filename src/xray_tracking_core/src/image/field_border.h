@@ -2,6 +2,7 @@
 
 #include <vector>
 
+#include <Eigen/Core>
 #include <opencv2/core.hpp>
 
 #include "image_bins.h"
@@ -25,6 +26,7 @@ private:
 
   bool any_ = false;
   cv::Mat opened_, outside_, framed_, visited_;
+  Eigen::ArrayXf largest_of_row_, largest_of_column_;
   std::vector<cv::Point> part_, field_;
 };
 }  // namespace xray_tracking

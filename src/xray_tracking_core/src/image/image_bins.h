@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <vector>
 
 #include <opencv2/core.hpp>
@@ -27,14 +28,24 @@ public:
   float step() const { return step_; }            ///< of light(), where it is in whole numbers; else 0
   float noise() const { return noise_; }          ///< standard deviation of a pixel's light in quiet bins; counts only
   float quantum() const { return quantum_; }      ///< variance of a pixel's light in units of it; counts only, else 0
+  /// By how much a pixel's variance grows with its light: that of quanta, without what a panel adds of its own.
+  float growth() const { return growth_; }
+  float growthError() const { return growth_error_; }  ///< its standard deviation
   /// Of neighbouring bins along rows or along columns, whichever is less, about -1..1; 0 if all are the same.
   double correlation() const;
 
 private:
+  /// Of three pixels.
   struct Sample
   {
-    float value;
-    float range;  ///< of three pixels
+    Sample(float a, float b, float c)
+    {
+      const float low = std::min(a, b), high = std::max(a, b);
+      value = std::max(low, std::min(high, c));
+      range = std::max(high, c) - std::min(low, c);
+    }
+    float value;  ///< the median
+    float range;
   };
 
   template <typename Pixel>
@@ -45,8 +56,8 @@ private:
   int edge_ = 1;
   cv::Mat values_, light_;
   double largest_ = 0.0, smallest_ = 0.0;
-  float brightest_ = 0.f, step_ = 0.f, noise_ = 0.f, quantum_ = 0.f;
-  std::vector<int> columns_;  ///< of the pixels of every bin
+  float brightest_ = 0.f, step_ = 0.f, noise_ = 0.f, quantum_ = 0.f, growth_ = 0.f, growth_error_ = 0.f;
+  int every_ = 1;  ///< bin is a sample
   std::vector<Sample> samples_;
   std::vector<float> sorted_;
 };

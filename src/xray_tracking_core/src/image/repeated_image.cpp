@@ -17,9 +17,9 @@ std::uint64_t mixed(std::uint64_t x)
   return x ^ (x >> 33);
 }
 
-constexpr int kEvery = 8;          // rows
-constexpr int kLeastSteps = 32;    // of a row that noise tells from others
-constexpr double kShare = 0.4;  // of its rows; a burnt-in clock and a few lines of text have less
+constexpr int kEvery = 8;        // rows
+constexpr int kLeastSteps = 32;  // of a row that noise tells from others
+constexpr double kShare = 0.4;   // of its rows; a burnt-in clock and a few lines of text have less
 
 /// Four sums side by side, as one has to wait for its last multiplication. Each step is a bijection of the sum.
 struct Sums
@@ -83,7 +83,7 @@ std::optional<std::int64_t> RepeatedImageCheck::add(const cv::Mat& image, std::i
     whole_.reserve(kRemembered);
     stamps_.reserve(kRemembered);
   }
-  std::uint64_t* rows = rowsOf(kRemembered);
+  std::uint32_t* rows = rowsOf(kRemembered);
   std::uint64_t whole = 0;
   std::size_t lively = 0;
   for (std::size_t n = 0; n < count_; ++n)
@@ -98,18 +98,20 @@ std::optional<std::int64_t> RepeatedImageCheck::add(const cv::Mat& image, std::i
     {
       withPixelType(image, [&](auto pixel) { is_lively = isLively(image.ptr<decltype(pixel)>(y), image.cols); });
     }
-    rows[n] = is_lively ? row : 0;
+    // Zero is none: once in 2^32 a row counts as alike by itself.
+    rows[n] = is_lively ? static_cast<std::uint32_t>(row) : 0U;
     lively += is_lively;
   }
   const auto is_of = [&](std::size_t image_before)
   {
-    const std::uint64_t* before = rowsOf(image_before);
-    std::size_t same = 0;
+    const std::uint32_t* before = rowsOf(image_before);
+    std::uint32_t same = 0;  // as wide as what is compared, for vectors
     for (std::size_t n = 0; n < count_; ++n)
     {
-      same += rows[n] != 0 && rows[n] == before[n];
+      same += static_cast<std::uint32_t>(rows[n] == before[n]) & static_cast<std::uint32_t>(rows[n] != 0);
     }
-    return whole == whole_[image_before] || (same > 0 && static_cast<double>(same) >= kShare * static_cast<double>(lively));
+    return whole == whole_[image_before] ||
+           (same > 0 && static_cast<double>(same) >= kShare * static_cast<double>(lively));
   };
   for (std::size_t n = 0; n < stamps_.size(); ++n)
   {

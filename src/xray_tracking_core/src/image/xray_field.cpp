@@ -1,6 +1,7 @@
 #include "xray_tracking_core/image/xray_field.h"
 
 #include <algorithm>
+#include <cmath>
 #include <sstream>
 #include <stdexcept>
 #include <vector>
@@ -18,11 +19,20 @@ constexpr double kLeastField = 0.01;
 /// over pixels, hardly, and of the column or row pattern of a dark frame along one of them only.
 constexpr double kLeastCorrelation = 0.3;
 constexpr float kLeastLevel = 2.f;  // of the brightest bins, in standard deviations of a pixel
-/// Of the light before: a panel's lag is 1 to 3 % after some tenths of a second; blades leave some bins as they were.
+/// Of the light before: a panel's lag is about 3 % in the first image after it and 0.5 % in the fiftieth (Starman et
+/// al. 2011); blades leave some bins as they were.
 constexpr double kLag = 1.0 / 16.0;
+/// Of the first dark image's contrast: lag has 0.7 of it in the second one, the dose of a panel that lags a little
+/// more.
+constexpr double kStays = 0.85;
+/// Of what the noise grew by with light before: what comes out of traps has next to none of that, an exposure all of
+/// it.
+constexpr float kAsNoisy = 0.5f;
+constexpr float kSure = 3.f;        // standard deviations
+constexpr int kDarkImages = 4;      // that it takes at least
+constexpr double kForgets = 0.98;   // an image, where noise does not tell: a thirtieth is a dose after 36 of them
 constexpr double kByNoise = 3.0;    // standard deviations: where little came through before
 constexpr double kBrighter = 0.01;  // of the bins
-constexpr double kForgets = 0.98;   // an image: a dose that stays at a hundredth is taken for one after 94 of them
 
 std::string nothingIn(const ImageBins& bins, const IntensityModel& intensity)
 {
@@ -53,18 +63,18 @@ struct XrayField::Implementation
   ImageBins bins;
   FieldBorder border;
   std::string nothing;
-  cv::Mat light_before;  ///< of the last image that showed something, fading
-  int type_before = -1;  ///< of that image
+  cv::Mat light_before;       ///< of the last image that showed something
+  float growth_before = 0.f;  ///< of the noise, as that of the dark images together
+  float growth = 0.f, variance_of_growth = 0.f;
+  int type_before = -1;
+  cv::Mat first_dark;  ///< light of the first image after it that had little of its light
+  int dark = 0;        ///< number of those images, up to now
 
-  /// Whether the light fell nearly everywhere by more than a factor that dose and blades explain.
-  bool isLag() const
+  /// Whether nearly everywhere there is less than a share of the light before.
+  bool isBelow(double share) const
   {
     const cv::Mat& light = bins.light();
-    if (light_before.size() != light.size())
-    {
-      return false;
-    }
-    const double noise = kByNoise * bins.noise();
+    const double noise = kByNoise * bins.noise() + 0.5 * bins.step();
     int brighter = 0;
     for (int y = 0; y < light.rows; ++y)
     {
@@ -72,10 +82,53 @@ struct XrayField::Implementation
       const float* now = light.ptr<float>(y);
       for (int x = 0; x < light.cols; ++x)
       {
-        brighter += now[x] > kLag * before[x] + noise;
+        brighter += now[x] > share * before[x] + noise;
       }
     }
     return brighter < kBrighter * static_cast<double>(light.total());
+  }
+
+  /// What is left of the first dark image's contrast: its own noise makes it seem less.
+  double contrastLeft() const
+  {
+    const cv::Mat& light = bins.light();
+    const double mean = cv::mean(first_dark)[0], mean_now = cv::mean(light)[0];
+    const auto count = static_cast<double>(light.total());
+    return (first_dark.dot(light) - count * mean * mean_now) / (first_dark.dot(first_dark) - count * mean * mean);
+  }
+
+  /// Whether so little light is not an exposure's, but that of the last one that a panel remembers: a dose stays, lag
+  /// falls.
+  bool isLag()
+  {
+    const cv::Mat& light = bins.light();
+    if (light_before.size() != light.size() || !isBelow(kLag))
+    {
+      dark = 0;
+      return false;
+    }
+    if (++dark == 1)
+    {
+      light.copyTo(first_dark);
+      growth = variance_of_growth = 0.f;
+    }
+    growth += bins.growth();
+    variance_of_growth += bins.growthError() * bins.growthError();
+    // A panel that is black but for rounding has no noise to tell by.
+    if (growth_before > 0.f && bins.quantum() > 0.f)
+    {
+      const float usual = kAsNoisy * growth_before * static_cast<float>(dark);
+      const float error = kSure * std::sqrt(variance_of_growth);
+      if (growth + error < usual)
+      {
+        return true;
+      }
+      if (dark >= kDarkImages && growth - error > usual && contrastLeft() > kStays)
+      {
+        return false;
+      }
+    }
+    return isBelow(kLag * std::pow(kForgets, dark));
   }
 
   /// The bins that a part of the image touches.
@@ -127,11 +180,13 @@ void XrayField::update(const cv::Mat& image, const IntensityModel& intensity)
     i.nothing =
         "the image shows nothing: it has less than a sixteenth of the light of those before, as what is left of "
         "them in a panel when X-rays are off";
-    i.light_before *= kForgets;
     i.border.close(i.bins);
     return;
   }
   i.bins.light().copyTo(i.light_before);
+  i.first_dark.create(i.light_before.size(), CV_32FC1);
+  i.growth_before = i.bins.growth();
+  i.dark = 0;
   i.type_before = image.type();
 }
 

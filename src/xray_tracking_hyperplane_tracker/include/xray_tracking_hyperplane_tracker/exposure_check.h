@@ -6,6 +6,7 @@
 #include <opencv2/core.hpp>
 
 #include "xray_tracking_core/image/image_inspector.h"
+#include "xray_tracking_core/image/mixed_rows.h"
 #include "xray_tracking_core/image/pixel_repair.h"
 #include "xray_tracking_core/image/repeated_image.h"
 #include "xray_tracking_core/image/xray_field.h"
@@ -39,6 +40,9 @@ public:
   /// the next call. No allocation after the first one.
   const cv::Mat& repaired(const cv::Mat& image);
 
+  /// Why a part of a repaired image is of two exposures; empty: it is not. Valid until the next call.
+  const std::string& mixed(const cv::Mat& repaired, const cv::Rect& part) { return mixed_.look(repaired, part); }
+
   /// Forgets all exposures and the stuck pixels.
   void reset();
 
@@ -50,6 +54,7 @@ private:
   XrayField field_{ kBins };
   ImageInspector inspector_;
   PixelRepair repair_;
+  MixedRows mixed_;
   cv::Mat repaired_;
   std::string fault_;
 };

@@ -141,6 +141,7 @@ private:
   std::optional<std::pair<std::int64_t, RigidTransform>> last_pose_;
   std::vector<std::optional<ViewMeasurement>> measurements_;
   std::optional<BeamGateRos> gate_;
+  ros::Time started_;                      ///< this node; zero until a simulated clock has come
   std::optional<ros::Time> first_heard_;   ///< earliest exposure since the start
   std::optional<ros::Time> first_unseen_;  ///< first exposure that gave a view no template while nothing was measured
   std::optional<PosePredictor> predictor_;

@@ -4,6 +4,7 @@
 #include <map>
 #include <string>
 
+#include "xray_tracking_core/image/mixed_rows.h"
 #include "xray_tracking_core/image/pixel_repair.h"
 #include "xray_tracking_core/image/repeated_image.h"
 #include "xray_tracking_core/image/xray_field.h"
@@ -19,7 +20,8 @@ public:
   /// Sets RegistrationView::usable of views that have a border, and puts an image of its own in the place of one that
   /// has stuck pixels.
   /// @param stamp_ns of the exposure; one that comes again by its stamp is the same, not a repetition
-  /// @throws std::invalid_argument naming the view whose image shows nothing, or what an exposure before it showed
+  /// @throws std::invalid_argument naming the view whose image shows nothing, or what an exposure before it showed, in
+  /// all or some of its rows
   void apply(std::int64_t stamp_ns, RegistrationRequest& request);
 
   void reset() { detectors_.clear(); }
@@ -30,6 +32,7 @@ private:
     XrayField field;
     RepeatedImageCheck repeated;
     PixelRepair repair;
+    MixedRows mixed;
     cv::Size inspected;  ///< size of the image that stuck pixels were taken from
   };
 

@@ -27,10 +27,10 @@ public:
 
 private:
   /// Of the ring's n-th image.
-  std::uint64_t* rowsOf(std::size_t n) { return rows_.data() + n * count_; }
+  std::uint32_t* rowsOf(std::size_t n) { return rows_.data() + n * count_; }
 
   std::size_t count_ = 0;            ///< rows of an image that are looked at
-  std::vector<std::uint64_t> rows_;  ///< a ring: fingerprints of images' rows, 0 for those that are alike by themselves
+  std::vector<std::uint32_t> rows_;  ///< a ring: fingerprints of images' rows, 0 for those that are alike by themselves
   std::vector<std::uint64_t> whole_;  ///< fingerprints of images
   std::vector<std::int64_t> stamps_;
   std::size_t next_ = 0;

@@ -19,7 +19,8 @@ namespace xray_tracking
 /// is no border. With the penumbra, a bin.
 ///
 /// An image with less than a sixteenth of the light of the one before, nearly everywhere, is what a panel remembers of
-/// that one while X-rays are off; where it stays so, after tens of images, it is a dose.
+/// that one while X-rays are off. It is a dose, from the fourth one on, if its contrast stays and its noise grows with
+/// light as before; where noise does not tell, after tens of images.
 ///
 /// Not thread-safe. No allocation after the first image of a size, but for words about an image that shows nothing.
 class XrayField
