@@ -1,9 +1,11 @@
 #include "descender.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
-#include <numeric>
 #include <stdexcept>
+
+#include <tbb/parallel_for.h>
 
 #include "belief.h"
 #include "derivative_free.h"
@@ -231,15 +233,25 @@ double Descender::lossAside(const FineLevel& fine, const Outcome& outcome) const
   {
     return 0.0;
   }
-  const Twist aside = kAside * leastKnown(outcome.covariance, outcome.poses.target, box_);
-  double most = -1.0;
-  for (const double side : { -1.0, 1.0 })
+  const PosePair& poses = outcome.poses;
+  const Twist aside = kAside * leastKnown(outcome.covariance, poses.target, box_);
+  const std::array<RigidTransform, 2> places{ moved(poses, aside, bodies_.centre, Moving::TARGET).target,
+                                              moved(poses, -aside, bodies_.centre, Moving::TARGET).target };
+  std::vector<std::array<double, 2>> there(fine.views.size());
+  tbb::parallel_for(std::size_t{ 0 }, 2 * there.size(),
+                    [&](std::size_t n)
+                    {
+                      const std::size_t v = n / 2;
+                      there[v][n % 2] = fine.views[v].similarityAside(bodies_, places[n % 2], fine.at.models[v],
+                                                                      poses.saturationOf(v));
+                    });
+  std::array<double, 2> sums{};
+  for (const std::array<double, 2>& view : there)
   {
-    const std::vector<double> there =
-        similarities(fine.views, bodies_, moved(outcome.poses, side * aside, bodies_.centre, Moving::TARGET));
-    most = std::max(most, std::accumulate(there.begin(), there.end(), 0.0) / static_cast<double>(there.size()));
+    sums[0] += view[0];
+    sums[1] += view[1];
   }
-  return 1.0 - most / outcome.similarity;
+  return 1.0 - std::max(sums[0], sums[1]) / (static_cast<double>(there.size()) * outcome.similarity);
 }
 
 void Descender::judge(const Run& run, const FineLevel& fine, Outcome& outcome) const

@@ -161,9 +161,15 @@ float ViewLevel::normalise(Eigen::VectorXf& image) const
 
 void ViewLevel::modelImage(const Bodies& bodies, const PosePair& poses, double saturation, cv::Mat& image) const
 {
-  bodies.target->render(*geometry_, grid_, poses.target, poses.target * bodies.centre, image);
   cv::Mat rest;
   bodies.rest->render(*geometry_, grid_, poses.rest, poses.target * bodies.centre, rest);
+  modelImage(bodies, poses.target, rest, saturation, image);
+}
+
+void ViewLevel::modelImage(const Bodies& bodies, const RigidTransform& room_from_target, const cv::Mat& rest,
+                           double saturation, cv::Mat& image) const
+{
+  bodies.target->render(*geometry_, grid_, room_from_target, room_from_target * bodies.centre, image);
   image += rest;
   saturate(saturation, image);
   image = highPassed(image);
@@ -173,6 +179,19 @@ double ViewLevel::similarity(const Bodies& bodies, const PosePair& poses, double
 {
   cv::Mat image;
   modelImage(bodies, poses, saturation, image);
+  return similarityTo(image);
+}
+
+double ViewLevel::similarityAside(const Bodies& bodies, const RigidTransform& room_from_target, const ViewModel& model,
+                                  double saturation) const
+{
+  cv::Mat image;
+  modelImage(bodies, room_from_target, model.rest, saturation, image);
+  return similarityTo(image);
+}
+
+double ViewLevel::similarityTo(const cv::Mat& image) const
+{
   Eigen::VectorXf model = flattened(image);
   normalise(model);
   return measured_.dot(model);
@@ -185,7 +204,7 @@ void ViewLevel::model(const Bodies& bodies, const PosePair& poses, double satura
   std::array<cv::Mat, 2> derivatives;
   const Eigen::Vector3d centre = poses.target * bodies.centre;
   bodies.target->renderWithDerivatives(*geometry_, grid_, poses.target, centre, image, derivatives[0]);
-  cv::Mat rest;
+  cv::Mat& rest = model.rest;
   if (moving != Moving::TARGET)
   {
     bodies.rest->renderWithDerivatives(*geometry_, grid_, poses.rest, centre, rest, derivatives[1]);

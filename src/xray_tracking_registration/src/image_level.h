@@ -57,6 +57,7 @@ struct ViewModel
   PixelRows derivatives;    ///< by the twists, then by the view's saturation, then zeros
   int twists = 0;           ///< 6 or 12
   double similarity = 0.0;  ///< correlation coefficient with the measured image
+  cv::Mat rest;             ///< line integrals of the rest of the body, of the level's grid
 };
 
 /// One view's image at one resolution, and its model.
@@ -97,10 +98,18 @@ public:
   void modelImage(const Bodies& bodies, const PosePair& poses, double saturation, cv::Mat& image) const;
   /// Correlation coefficient with the poses' model, -1 to 1.
   double similarity(const Bodies& bodies, const PosePair& poses, double saturation) const;
+  /// The same with the target elsewhere and the rest where a model has it.
+  double similarityAside(const Bodies& bodies, const RigidTransform& room_from_target, const ViewModel& model,
+                         double saturation) const;
   /// Measured image, high-passed, not normalised, CV_32FC1.
   const cv::Mat& measuredImage() const { return measured_image_; }
 
 private:
+  /// @param rest line integrals of the rest, of the grid
+  void modelImage(const Bodies& bodies, const RigidTransform& room_from_target, const cv::Mat& rest, double saturation,
+                  cv::Mat& image) const;
+  /// @param image high-passed model image
+  double similarityTo(const cv::Mat& image) const;
   /// @param usable of the grid, CV_32FC1, share of every bin; empty: all
   void leaveOut(const cv::Mat& usable, const std::vector<PlacedEnds>& ends, double least_share);
   /// @param image of the grid, whose local mean is taken away where it counts; 0 elsewhere
