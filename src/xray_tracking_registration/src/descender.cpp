@@ -261,7 +261,11 @@ void Descender::judge(const Run& run, const FineLevel& fine, Outcome& outcome) c
   outcome.similarity = fine.at.meanSimilarity();
   outcome.views = viewResiduals(fine.views, fine.at, poses.target * bodies_.centre);
   outcome.covariance = poseCovariance(fine.views, fine.at, prior, poses, bodies_);
-  const std::vector<double> coarse = similarities(makeViews(run, poses, kCoarse), bodies_, poses);
+  std::vector<double> coarse(fine.views.size());
+  if (!run.request.start_verified)
+  {
+    coarse = similarities(makeViews(run, poses, kCoarse), bodies_, poses);
+  }
   BeliefFigures& figures = outcome.figures;
   figures.least_similarity = figures.least_coarse_similarity = 1.0;
   for (std::size_t v = 0; v < outcome.views.size(); ++v)

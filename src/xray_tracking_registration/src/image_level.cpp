@@ -57,6 +57,7 @@ void saturate(double saturation, cv::Mat& image, cv::Mat& slope, cv::Mat& by_sat
 }
 
 constexpr double kUsableShare = 0.75;  // of a bin's pixels
+constexpr int kImage = kPixelRow - 1;  // which of a pixel's numbers the image is while it is high-passed
 constexpr int kSample = 1000;          // pixels, at least, where there are as many
 constexpr double kMinGain = 0.05;      // of a model that is not yet like the image
 }  // namespace
@@ -224,23 +225,27 @@ void ViewLevel::model(const Bodies& bodies, const PosePair& poses, double satura
   slope = slope.mul(counts_);
   by_saturation = by_saturation.mul(counts_);
   model.twists = moving == Moving::BOTH ? 12 : 6;
+  image = image.mul(counts_);
   PixelRows rows(image.total(), kPixelRow);
-  rows.setZero();
   for (Eigen::Index n = 0; n < rows.rows(); ++n)
   {
+    float* row = rows.row(n).data();
     const float factor = slope.ptr<float>()[n];
     for (int body = 0; body < model.twists / 6; ++body)
     {
-      using Six = Eigen::Matrix<float, 1, 6>;
-      rows.row(n).segment<6>(6 * body) = factor * Eigen::Map<const Six>(derivatives[body].ptr<float>() + 6 * n);
+      const float* from = derivatives[body].ptr<float>() + 6 * n;
+      row = std::transform(from, from + 6, row, [factor](float value) { return factor * value; });
     }
-    rows(n, model.twists) = by_saturation.ptr<float>()[n];
+    *row++ = by_saturation.ptr<float>()[n];
+    std::fill(row, rows.row(n).data() + kImage, 0.0f);
+    rows(n, kImage) = image.ptr<float>()[n];
   }
   PixelRows means = rows;
   blur_(means, image.size());
   model.derivatives =
       withoutMeans(rows, means, counted_inverse_, cv::Rect(border_, border_, size_.width, size_.height));
-  model.image = flattened(highPassed(image));
+  model.image = model.derivatives.col(kImage);
+  model.derivatives.col(kImage).setZero();
   const float norm = normalise(model.image);
   model.similarity = measured_.dot(model.image);
   if (norm == 0.0f)

@@ -90,8 +90,8 @@ std::optional<double> ShiftedViews::correlation(const Eigen::Vector3d& shift) co
   for (const View& view : views_)
   {
     const Eigen::Vector2d bins = view.shifts * shift;
-    const int column = view.here.x + static_cast<int>(std::lround(bins.x()));
-    const int row = view.here.y + static_cast<int>(std::lround(bins.y()));
+    const int column = view.here.x + cvRound(bins.x());
+    const int row = view.here.y + cvRound(bins.y());
     if (column < 0 || row < 0 || column >= view.correlation.cols || row >= view.correlation.rows ||
         view.correlation.at<float>(row, column) < -1.5f)
     {

@@ -118,7 +118,7 @@ enum class RegistrationStatus
 struct ViewResidual
 {
   double similarity = 0.0;         ///< correlation coefficient of the high-passed images as fine as the CT is, -1 to 1
-  double coarse_similarity = 0.0;  ///< the same at the coarsest level's resolution
+  double coarse_similarity = 0.0;  ///< the same at the coarsest level's resolution; 0 where the start is verified
   double noise = 0.0;              ///< root mean square of the difference of the normalised images, 0 to 2
   /// By how much the view alone would move the target along what it sees best, two directions across its central ray
   /// [mm]: large where the views do not agree.
