@@ -1,5 +1,6 @@
 #include "xray_tracking_registration/usable_pixels.h"
 
+#include <algorithm>
 #include <optional>
 #include <stdexcept>
 
@@ -8,6 +9,11 @@
 
 namespace xray_tracking
 {
+namespace
+{
+constexpr int kLooked = 256;  // edge of what is looked at for mixed rows [px]
+}  // namespace
+
 void UsablePixels::apply(std::int64_t stamp_ns, RegistrationRequest& request)
 {
   for (RegistrationView& view : request.views)
@@ -43,8 +49,9 @@ void UsablePixels::apply(std::int64_t stamp_ns, RegistrationRequest& request)
       detector.repair.apply(view.image, repaired);
       view.image = repaired;
     }
-    // In the middle half of the image: if rows are mixed, they are in all of it.
-    const cv::Rect middle(whole.width / 4, whole.height / 4, whole.width / 2, whole.height / 2);
+    // In the middle of the image: if rows are mixed, they are in all of it.
+    const cv::Size looked(std::min(whole.width / 2, kLooked), std::min(whole.height / 2, kLooked));
+    const cv::Rect middle(cv::Point((whole.width - looked.width) / 2, (whole.height - looked.height) / 2), looked);
     if (const std::string& mixed = detector.mixed.look(view.image, middle); !mixed.empty())
     {
       throw std::invalid_argument(message("view ", view.geometry.name(), ": ", mixed));

@@ -265,19 +265,24 @@ void XrayField::mark(const cv::Rect& part, std::uint8_t bits, cv::Mat& pixels) c
     return;
   }
   const int edge = i.bins.edge();
+  cv::AutoBuffer<std::uint8_t, 4096> marks(part.width);  // of all rows of one row of bins
   for (int y = 0; y < part.height; ++y)
   {
-    const std::uint8_t* outside = i.border.outside().ptr((part.y + y) / edge);
-    std::uint8_t* row = pixels.ptr(y);
-    for (int x = 0; x < part.width;)
+    if (y == 0 || (part.y + y) % edge == 0)
     {
-      const int bin = (part.x + x) / edge;
-      const int end = std::min(part.width, (bin + 1) * edge - part.x);
-      const std::uint8_t marks = outside[bin] != 0 ? bits : 0;
-      for (; x < end; ++x)
+      const std::uint8_t* outside = i.border.outside().ptr((part.y + y) / edge);
+      for (int x = 0; x < part.width;)
       {
-        row[x] |= marks;
+        const int bin = (part.x + x) / edge;
+        const int end = std::min(part.width, (bin + 1) * edge - part.x);
+        std::fill(marks.data() + x, marks.data() + end, outside[bin] != 0 ? bits : 0);
+        x = end;
       }
+    }
+    std::uint8_t* row = pixels.ptr(y);
+    for (int x = 0; x < part.width; ++x)
+    {
+      row[x] |= marks[x];
     }
   }
 }
