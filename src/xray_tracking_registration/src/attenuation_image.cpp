@@ -24,7 +24,8 @@ cv::Mat mapped(const cv::Mat& image, const Map& map)
 }
 }  // namespace
 
-AttenuationImage::AttenuationImage(const cv::Mat& image, const IntensityModel& intensity) : image_(image)
+AttenuationImage::AttenuationImage(const cv::Mat& image, const IntensityModel& intensity)
+  : image_(image), counts_(intensity.kind == IntensityModel::Kind::COUNTS)
 {
   if (image.empty() || (image.type() != CV_8UC1 && image.type() != CV_16UC1 && image.type() != CV_32FC1))
   {
@@ -34,7 +35,7 @@ AttenuationImage::AttenuationImage(const cv::Mat& image, const IntensityModel& i
   {
     throw std::invalid_argument("image: has values that are not finite");
   }
-  if (intensity.kind == IntensityModel::Kind::ATTENUATION)
+  if (!counts_)
   {
     return;
   }
@@ -69,7 +70,7 @@ float AttenuationImage::attenuationOf(double counts) const
 cv::Mat AttenuationImage::operator()(const cv::Rect& part) const
 {
   const cv::Mat image = image_(part);
-  if (air_ == 0.0)
+  if (!counts_)
   {
     cv::Mat attenuation;
     image.convertTo(attenuation, CV_32F);

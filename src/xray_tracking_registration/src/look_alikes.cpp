@@ -142,9 +142,20 @@ std::optional<double> correlation(const Cells& cells, const Eigen::Vector3i& fir
 
 std::vector<Eigen::Vector3d> lookAlikes(const BodyModel& bodies, const Eigen::AlignedBox3d& target_box)
 {
-  const Eigen::Vector3i size = (target_box.sizes() / kEdge).array().ceil().cast<int>().max(1);
+  Eigen::AlignedBox3d ct = bodies.target.grid.extent();
+  if (!bodies.rest.values.empty())
+  {
+    ct.extend(bodies.rest.grid.extent());
+  }
+  // A box may be far larger than the CT, as one given in the wrong unit.
+  const Eigen::AlignedBox3d box = target_box.intersection(ct);
+  if (box.isEmpty())
+  {
+    return {};
+  }
+  const Eigen::Vector3i size = (box.sizes() / kEdge).array().ceil().cast<int>().max(1);
   const Eigen::Vector3i around(kLateral, kLateral, kFarthest);
-  Cells cells = cellsOf(bodies, target_box.min() - kEdge * around.cast<double>(), size + 2 * around);
+  Cells cells = cellsOf(bodies, box.min() - kEdge * around.cast<double>(), size + 2 * around);
   highPass(cells);
   std::vector<Eigen::Vector3d> found;
   for (const int side : { -1, 1 })

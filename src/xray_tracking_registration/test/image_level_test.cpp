@@ -249,6 +249,17 @@ TEST(AttenuationImage, IsTheLogarithmOfTransmission)
   EXPECT_EQ(attenuation.at<float>(0), 1100.0f);
 }
 
+TEST(AttenuationImage, AirOfNoCountsAboveANegativeOffsetIsNoAttenuationImage)
+{
+  IntensityModel intensity;
+  intensity.offset = -100.0;
+  intensity.air_counts = 0.0;
+  const cv::Mat counts = (cv::Mat_<float>(1, 2) << 0.0f, -90.0f);
+  const cv::Mat attenuation = AttenuationImage(counts, intensity)(cv::Rect(0, 0, 2, 1));
+  EXPECT_NEAR(attenuation.at<float>(0), 0.0, 1e-6);
+  EXPECT_NEAR(attenuation.at<float>(1), std::log(10.0), 1e-5);
+}
+
 TEST(AttenuationImage, RefusesWhatHasNoLogarithm)
 {
   IntensityModel intensity;

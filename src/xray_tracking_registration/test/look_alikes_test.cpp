@@ -74,6 +74,15 @@ TEST(LookAlikes, AShaftHasNoneOfItsOwn)
   EXPECT_TRUE(lookAlikes(column(0.0), cube(40.0)).empty());
 }
 
+TEST(LookAlikes, ABoxBeyondTheCtIsCutOrHasNone)
+{
+  const BodyModel bodies = column(26.0);
+  // Micrometres for millimetres: all of the CT, which looks like nothing else.
+  EXPECT_TRUE(lookAlikes(bodies, cube(40000.0)).empty());
+  EXPECT_TRUE(lookAlikes(bodies, cube(1e30)).empty());
+  EXPECT_TRUE(lookAlikes(bodies, cube(40.0).translate(Eigen::Vector3d(0.0, 1e9, 0.0))).empty());
+}
+
 TEST(LookAlikes, OfTwoBodiesAreThoseOfTheWhole)
 {
   const PhantomExposures& phantom = PhantomExposures::instance();

@@ -28,8 +28,9 @@ private:
   float attenuationOf(double counts) const;
 
   cv::Mat image_;
+  bool counts_;  ///< else attenuation
   double offset_ = 0.0;
-  double air_ = 0.0;          ///< 0 for attenuation images
+  double air_ = 0.0;
   std::vector<float> table_;  ///< of all integer counts that there are
 };
 }  // namespace xray_tracking

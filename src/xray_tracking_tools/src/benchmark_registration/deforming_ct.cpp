@@ -122,20 +122,9 @@ void DeformingCt::materials(const ProjectionGeometry& geometry, const BodyPoses&
                     });
 }
 
-Eigen::AlignedBox3d extentOf(const VolumeGrid& grid)
-{
-  Eigen::AlignedBox3d extent;
-  for (int corner = 0; corner < 8; ++corner)
-  {
-    const Eigen::Vector3d ends(corner & 1, (corner >> 1) & 1, corner >> 2);
-    extent.extend(grid.patient_from_index * ends.cwiseProduct((grid.size.array() - 1).matrix().cast<double>()));
-  }
-  return extent;
-}
-
 CtVolume resampled(const CtVolume& ct, double voxel, double slice, const Eigen::AlignedBox3d& region)
 {
-  const Eigen::AlignedBox3d extent = extentOf(ct.grid).intersection(region);
+  const Eigen::AlignedBox3d extent = ct.grid.extent().intersection(region);
   const Eigen::Vector3d spacing(voxel, voxel, slice);
   CtVolume out;
   out.grid.size = extent.sizes().cwiseQuotient(spacing).array().floor().cast<int>();

@@ -35,7 +35,4 @@ private:
 /// The CT sampled on other voxels, of this edge in plane and slices of this thickness [mm], as far as `region` (patient
 /// frame) reaches: averages over each voxel.
 CtVolume resampled(const CtVolume& ct, double voxel, double slice, const Eigen::AlignedBox3d& region);
-
-/// Of the voxels' centres, patient frame [mm].
-Eigen::AlignedBox3d extentOf(const VolumeGrid& grid);
 }  // namespace xray_tracking

@@ -32,7 +32,7 @@ Scans::Scan makeScan(const std::string& name, const std::string& path)
   Scans::Scan scan{ name, std::make_shared<const CtVolume>(readCtVolume(path)), {}, {}, {} };
   const double voxel = std::max(1.6, scan.ct->grid.spacing().x());
   scan.coarse =
-      resampled(*scan.ct, voxel, std::max(voxel, scan.ct->grid.spacing().z()), grown(extentOf(scan.ct->grid), 1.0));
+      resampled(*scan.ct, voxel, std::max(voxel, scan.ct->grid.spacing().z()), grown(scan.ct->grid.extent(), 1.0));
   const VolumeGrid& grid = scan.coarse.grid;
   for (std::size_t n = 0; n < scan.coarse.hu.size(); ++n)
   {
@@ -56,7 +56,7 @@ double boneShare(const Scans::Scan& scan, const Eigen::AlignedBox3d& box)
 /// A box around bone of any kind; every other one is where there is most of it, as at a vertebra.
 Eigen::AlignedBox3d randomBox(std::mt19937& random, const Scans::Scan& scan)
 {
-  const Eigen::AlignedBox3d extent = extentOf(scan.ct->grid);
+  const Eigen::AlignedBox3d extent = scan.ct->grid.extent();
   // Its slices go on beyond the ends only as they are there.
   Eigen::AlignedBox3d inner = extent;
   inner.min().z() += kFromEnds;

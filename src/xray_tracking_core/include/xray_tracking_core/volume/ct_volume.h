@@ -28,6 +28,17 @@ struct VolumeGrid
   Eigen::Vector3d spacing() const { return patient_from_index.linear().colwise().norm(); }
   /// Patient point of the grid's middle [mm].
   Eigen::Vector3d centre() const { return patient_from_index * (0.5 * (size.cast<double>().array() - 1.0)).matrix(); }
+  /// Box about the voxels' centres, patient frame [mm].
+  Eigen::AlignedBox3d extent() const
+  {
+    Eigen::AlignedBox3d box;
+    for (int corner = 0; corner < 8; ++corner)
+    {
+      const Eigen::Vector3i upper(corner & 1, corner >> 1 & 1, corner >> 2);
+      box.extend(patient_from_index * upper.cwiseProduct((size.array() - 1).matrix()).cast<double>().eval());
+    }
+    return box;
+  }
 };
 
 /// A CT in Hounsfield units.
