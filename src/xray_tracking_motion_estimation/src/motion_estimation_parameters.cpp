@@ -56,7 +56,7 @@ MotionEstimationParameters readMotionEstimationParameters(const ros::NodeHandle&
   own.read("detectors", parameters.detectors);
   MotionEstimationOptions& estimation = parameters.estimation;
   std::string method = "least_squares";
-  own.read("method", method);
+  own.read("estimation_method", method);
   std::string target_shape = "isotropic";
   own.read("target_shape", target_shape);
   own.read("significance", estimation.significance);

@@ -3,73 +3,87 @@
 #include <algorithm>
 #include <iterator>
 
+#include "xray_tracking_conversions/conversions.h"
+
 namespace xray_tracking
 {
-namespace
-{
-/// Time that stamps go back by when a bag starts again; less is a disorder of exposures.
-const ros::Duration kBackwardJump(1.0);
-}  // namespace
-
-ExposureStore::ExposureStore(std::vector<std::string> detectors, std::size_t capacity, bool in_turn)
-  : detectors_(std::move(detectors)),
-    capacity_(capacity),
-    in_turn_(in_turn),
-    last_images_(detectors_.size()),
-    last_camera_infos_(detectors_.size())
+ExposureStore::ExposureStore(std::vector<std::string> detectors, std::size_t capacity)
+  : detectors_(std::move(detectors)), capacity_(capacity), topics_(detectors_.size())
 {
 }
 
-StoredExposure& ExposureStore::at(const ros::Time& stamp)
+bool ExposureStore::take(StampPolicy& topic, std::int64_t stamp_ns, std::int64_t now_ns)
 {
-  const auto [entry, is_new] = exposures_.try_emplace(stamp);
-  StoredExposure& exposure = entry->second;
-  exposure.last_arrival = ros::SteadyTime::now();
-  if (!is_new)
+  using Verdict = StampPolicy::Verdict;
+  const Verdict verdict = topic.take(stamp_ns, now_ns);
+  if (verdict == Verdict::RESTART)
   {
-    return exposure;
-  }
-  exposure.images.resize(detectors_.size());
-  exposure.camera_infos.resize(detectors_.size());
-  // Too late for an answer, but somebody may ask for it.
-  exposure.answered = !in_turn_ || (last_answered_ && stamp <= *last_answered_);
-  if (exposures_.size() > capacity_)
-  {
-    const auto oldest = entry == exposures_.begin() ? std::next(entry) : exposures_.begin();
-    if (!oldest->second.answered)
+    exposures_.clear();
+    // What is on its way on the other topics may be of the run before: it is forgotten when they start again, too.
+    for (Topics& topics : topics_)
     {
-      displaced_.push_back(
-          handOut(oldest, "it gave way, as more than " + std::to_string(capacity_) + " exposures were kept"));
+      for (StampPolicy* other : { &topics.images, &topics.camera_infos })
+      {
+        if (other != &topic)
+        {
+          other->reset();
+        }
+      }
     }
-    exposures_.erase(oldest);
+    restarted_ = true;
+  }
+  return verdict == Verdict::ACCEPT || verdict == Verdict::RESTART;
+}
+
+StoredExposure& ExposureStore::at(std::int64_t stamp_ns)
+{
+  const auto [entry, is_new] = exposures_.try_emplace(stamp_ns);
+  StoredExposure& exposure = entry->second;
+  if (is_new)
+  {
+    exposure.images.resize(detectors_.size());
+    exposure.camera_infos.resize(detectors_.size());
+    if (exposures_.size() > capacity_)
+    {
+      exposures_.erase(entry == exposures_.begin() ? std::next(entry) : exposures_.begin());
+    }
   }
   return exposure;
 }
 
-void ExposureStore::noteArrival(const ros::Time& stamp, ros::Time& last)
+std::string ExposureStore::addImage(std::size_t detector, const sensor_msgs::ImageConstPtr& image, std::int64_t now_ns)
 {
-  if (stamp < last && last - stamp > kBackwardJump)
+  const std::int64_t stamp_ns = nanosecondsFromTime(image->header.stamp);
+  StampPolicy& topic = topics_[detector].images;
+  // roscpp links publisher and subscriber of one process twice if both come up at the same time.
+  if (const auto kept = exposures_.find(stamp_ns); kept != exposures_.end() && kept->second.images[detector] == image)
   {
-    exposures_.clear();
-    displaced_.clear();
-    last_answered_.reset();
-    last_images_.assign(detectors_.size(), ros::Time());
-    last_camera_infos_.assign(detectors_.size(), ros::Time());
-    restarted_ = true;
+    return std::string();
   }
-  last = stamp;
+  if (!take(topic, stamp_ns, now_ns))
+  {
+    return detectors_[detector] + "/image_raw: " + topic.why();
+  }
+  at(stamp_ns).images[detector] = image;
+  return std::string();
 }
 
-void ExposureStore::addImage(std::size_t detector, const sensor_msgs::ImageConstPtr& image)
+std::string ExposureStore::addCameraInfo(std::size_t detector, const sensor_msgs::CameraInfoConstPtr& camera_info,
+                                         std::int64_t now_ns)
 {
-  noteArrival(image->header.stamp, last_images_[detector]);
-  at(image->header.stamp).images[detector] = image;
-}
-
-void ExposureStore::addCameraInfo(std::size_t detector, const sensor_msgs::CameraInfoConstPtr& camera_info)
-{
-  noteArrival(camera_info->header.stamp, last_camera_infos_[detector]);
-  at(camera_info->header.stamp).camera_infos[detector] = camera_info;
+  const std::int64_t stamp_ns = nanosecondsFromTime(camera_info->header.stamp);
+  StampPolicy& topic = topics_[detector].camera_infos;
+  if (const auto kept = exposures_.find(stamp_ns);
+      kept != exposures_.end() && kept->second.camera_infos[detector] == camera_info)
+  {
+    return std::string();
+  }
+  if (!take(topic, stamp_ns, now_ns))
+  {
+    return detectors_[detector] + "/camera_info: " + topic.why();
+  }
+  at(stamp_ns).camera_infos[detector] = camera_info;
+  return std::string();
 }
 
 std::string ExposureStore::missingView(const StoredExposure& exposure) const
@@ -85,55 +99,18 @@ std::string ExposureStore::missingView(const StoredExposure& exposure) const
       return detectors_[i] + "/camera_info has not arrived";
     }
   }
-  return "";
+  return std::string();
 }
 
-ExposureStore::Due ExposureStore::handOut(Exposures::iterator entry, const std::string& missing)
+const StoredExposure* ExposureStore::find(std::int64_t stamp_ns) const
 {
-  entry->second.answered = true;
-  last_answered_ = last_answered_ ? std::max(*last_answered_, entry->first) : entry->first;
-  return { entry->first, entry->second, missing };
-}
-
-std::optional<ExposureStore::Due> ExposureStore::next()
-{
-  if (!displaced_.empty())
+  if (stamp_ns != 0)
   {
-    Due due = std::move(displaced_.front());
-    displaced_.erase(displaced_.begin());
-    return due;
-  }
-  auto oldest = exposures_.end();
-  for (auto entry = exposures_.begin(); entry != exposures_.end(); ++entry)
-  {
-    if (entry->second.answered)
-    {
-      continue;
-    }
-    oldest = oldest == exposures_.end() ? entry : oldest;
-    if (missingView(entry->second).empty())
-    {
-      return handOut(oldest, missingView(oldest->second));
-    }
-  }
-  return std::nullopt;
-}
-
-const StoredExposure* ExposureStore::find(const ros::Time& stamp) const
-{
-  if (!stamp.isZero())
-  {
-    const auto entry = exposures_.find(stamp);
+    const auto entry = exposures_.find(stamp_ns);
     return entry == exposures_.end() ? nullptr : &entry->second;
   }
   const auto latest = std::find_if(exposures_.rbegin(), exposures_.rend(),
                                    [this](const auto& entry) { return missingView(entry.second).empty(); });
   return latest == exposures_.rend() ? nullptr : &latest->second;
-}
-
-std::size_t ExposureStore::waiting() const
-{
-  return displaced_.size() + static_cast<std::size_t>(std::count_if(exposures_.begin(), exposures_.end(),
-                                                                    [](const auto& e) { return !e.second.answered; }));
 }
 }  // namespace xray_tracking

@@ -8,6 +8,8 @@ namespace xray_tracking
 {
 namespace
 {
+constexpr std::int64_t kSecond = 1000000000;
+
 /// A store of two detectors and how to fill it.
 class ExposureStoreTest : public testing::Test
 {
@@ -19,105 +21,91 @@ protected:
     message->header.stamp = ros::Time(stamp);
     return message;
   }
-  static void addView(ExposureStore& store, std::size_t detector, double stamp)
+  void addView(std::size_t detector, double stamp)
   {
-    store.addCameraInfo(detector, stamped<sensor_msgs::CameraInfo>(stamp));
-    store.addImage(detector, stamped<sensor_msgs::Image>(stamp));
+    EXPECT_EQ("", store_.addCameraInfo(detector, stamped<sensor_msgs::CameraInfo>(stamp), kNow));
+    EXPECT_EQ("", store_.addImage(detector, stamped<sensor_msgs::Image>(stamp), kNow));
   }
-  static void addViews(ExposureStore& store, double stamp)
+  void addViews(double stamp)
   {
-    addView(store, 0, stamp);
-    addView(store, 1, stamp);
-  }
-  static void expectNext(ExposureStore& store, double stamp, const std::string& missing)
-  {
-    const auto due = store.next();
-    ASSERT_TRUE(due);
-    EXPECT_EQ(ros::Time(stamp), due->stamp);
-    EXPECT_EQ(missing, due->missing);
+    addView(0, stamp);
+    addView(1, stamp);
   }
 
-  const std::vector<std::string> names_ = { "a", "b" };
+  static constexpr std::int64_t kNow = 100 * kSecond;
+  ExposureStore store_{ { "a", "b" }, 3 };
 };
-
-TEST_F(ExposureStoreTest, handsOutInOrderEachOnce)
-{
-  ExposureStore store(names_, 10, true);
-  addView(store, 0, 1.0);
-  EXPECT_FALSE(store.next());
-  addView(store, 0, 2.0);
-  addView(store, 1, 1.0);
-  expectNext(store, 1.0, "");
-  EXPECT_FALSE(store.next());
-  addView(store, 0, 3.0);
-  EXPECT_EQ(2U, store.waiting());
-  addView(store, 1, 3.0);
-  // All of a later one is there: what is missing now will not come.
-  expectNext(store, 2.0, "b/image_raw has not arrived");
-  expectNext(store, 3.0, "");
-  addView(store, 1, 2.0);
-  EXPECT_FALSE(store.next());
-  EXPECT_EQ(0U, store.waiting());
-  EXPECT_EQ("", store.missingView(*store.find(ros::Time(2.0)))) << "late, but there for who asks";
-}
-
-TEST_F(ExposureStoreTest, isBoundedAndSaysWhatGaveWay)
-{
-  ExposureStore store(names_, 2, true);
-  for (const double stamp : { 1.0, 2.0, 3.0 })
-  {
-    addViews(store, stamp);
-  }
-  EXPECT_EQ(2U, store.size());
-  EXPECT_EQ(nullptr, store.find(ros::Time(1.0)));
-  expectNext(store, 1.0, "it gave way, as more than 2 exposures were kept");
-  expectNext(store, 2.0, "");
-  expectNext(store, 3.0, "");
-  EXPECT_FALSE(store.next());
-}
-
-TEST_F(ExposureStoreTest, isBoundedWhereNobodyTakesThemInTurn)
-{
-  ExposureStore store(names_, 2, false);
-  addViews(store, 1.0);
-  const boost::weak_ptr<const sensor_msgs::Image> first = store.find(ros::Time(1.0))->images[0];
-  addViews(store, 2.0);
-  EXPECT_FALSE(first.expired());
-  addViews(store, 3.0);
-  EXPECT_EQ(2U, store.size());
-  EXPECT_EQ(0U, store.waiting());
-  EXPECT_TRUE(first.expired()) << "an image that nobody can ask for";
-  EXPECT_FALSE(store.next());
-}
 
 TEST_F(ExposureStoreTest, findsByStampOrTheLatestWhole)
 {
-  ExposureStore store(names_, 10, true);
-  EXPECT_EQ(nullptr, store.find(ros::Time()));
-  addViews(store, 1.0);
-  addViews(store, 2.0);
-  addView(store, 0, 3.0);
-  EXPECT_EQ(ros::Time(2.0), store.find(ros::Time())->images[1]->header.stamp);
-  EXPECT_EQ("b/image_raw has not arrived", store.missingView(*store.find(ros::Time(3.0))));
-  EXPECT_EQ(nullptr, store.find(ros::Time(4.0)));
+  EXPECT_EQ(nullptr, store_.find(0));
+  addViews(1.0);
+  addViews(2.0);
+  addView(0, 3.0);
+  EXPECT_EQ(ros::Time(2.0), store_.find(0)->images[1]->header.stamp);
+  EXPECT_EQ(ros::Time(1.0), store_.find(kSecond)->camera_infos[0]->header.stamp);
+  EXPECT_EQ("b/image_raw has not arrived", store_.missingView(*store_.find(3 * kSecond)));
+  EXPECT_EQ("", store_.addImage(1, stamped<sensor_msgs::Image>(3.0), kNow));
+  EXPECT_EQ("b/camera_info has not arrived", store_.missingView(*store_.find(3 * kSecond)));
+  EXPECT_EQ(nullptr, store_.find(4 * kSecond));
+}
+
+TEST_F(ExposureStoreTest, isBounded)
+{
+  addViews(1.0);
+  const boost::weak_ptr<const sensor_msgs::Image> first = store_.find(kSecond)->images[0];
+  addViews(2.0);
+  addViews(3.0);
+  EXPECT_FALSE(first.expired());
+  addViews(4.0);
+  EXPECT_EQ(3U, store_.size());
+  EXPECT_EQ(nullptr, store_.find(kSecond));
+  EXPECT_TRUE(first.expired()) << "an image that nobody can ask for";
 }
 
 TEST_F(ExposureStoreTest, beginsAnewWhenTimeJumpsBack)
 {
-  ExposureStore store(names_, 10, true);
   for (const double stamp : { 5.0, 6.0, 8.0 })
   {
-    addViews(store, stamp);
+    addViews(stamp);
   }
-  expectNext(store, 5.0, "");
-  EXPECT_FALSE(store.takeRestart());
-  addViews(store, 5.0);
-  EXPECT_EQ(1U, store.size());
-  EXPECT_TRUE(store.takeRestart());
-  EXPECT_FALSE(store.takeRestart());
-  expectNext(store, 5.0, "");
-  addViews(store, 6.0);
-  expectNext(store, 6.0, "");
+  EXPECT_FALSE(store_.takeRestart());
+  addViews(5.0);
+  EXPECT_EQ(1U, store_.size());
+  EXPECT_EQ("", store_.missingView(*store_.find(5 * kSecond)));
+  EXPECT_TRUE(store_.takeRestart());
+  EXPECT_FALSE(store_.takeRestart());
+  addViews(6.0);
+  EXPECT_EQ(2U, store_.size());
+  EXPECT_FALSE(store_.takeRestart());
+}
+
+TEST_F(ExposureStoreTest, aStampOfTheFutureForgetsNothing)
+{
+  addViews(5.0);
+  for (const double stamp : { 102.0, 4294967295.0 })
+  {
+    EXPECT_NE(std::string::npos,
+              store_.addImage(1, stamped<sensor_msgs::Image>(stamp), kNow).find("b/image_raw: the stamp"));
+    EXPECT_NE(std::string::npos,
+              store_.addCameraInfo(0, stamped<sensor_msgs::CameraInfo>(stamp), kNow).find("in the future"));
+  }
+  addViews(6.0);
+  EXPECT_EQ(2U, store_.size());
+  EXPECT_FALSE(store_.takeRestart());
+}
+
+TEST_F(ExposureStoreTest, dropsWhatIsRepeatedOrLate)
+{
+  addViews(5.0);
+  addViews(6.0);
+  const sensor_msgs::ImageConstPtr first = store_.find(6 * kSecond)->images[0];
+  EXPECT_NE(std::string::npos, store_.addImage(0, stamped<sensor_msgs::Image>(6.0), kNow).find("not newer"));
+  EXPECT_NE(std::string::npos, store_.addImage(0, stamped<sensor_msgs::Image>(5.5), kNow).find("not newer"));
+  EXPECT_EQ(first, store_.find(6 * kSecond)->images[0]);
+  EXPECT_EQ(2U, store_.size());
+  // As roscpp links publisher and subscriber of one process twice if both come up at the same time.
+  EXPECT_EQ("", store_.addImage(0, first, kNow));
 }
 }  // namespace
 }  // namespace xray_tracking

@@ -123,7 +123,6 @@ RunSupervisorRos::RunSupervisorRos(ros::NodeHandle nh, ros::NodeHandle pnh)
                                 "', expected tracking, registration or tracking_and_registration");
   }
   registers_ = method != "tracking";
-  registers_tracks_ = method == "tracking_and_registration";
   playback_ = start_mode == "playback";
   start_service_ = nh.resolveName(readParameter<std::string>(pnh, "start_service", "start"));
 
@@ -270,8 +269,7 @@ void RunSupervisorRos::refinedPoseCallback(const xray_tracking_msgs::RefinedPose
 
 std::size_t RunSupervisorRos::answered() const
 {
-  return registers_ ? std::min(motions_.size(), refined_.size() + (registers_tracks_ ? not_ready_ : 0))
-                    : motions_.size();
+  return registers_ ? std::min(motions_.size(), refined_.size() + not_ready_) : motions_.size();
 }
 
 void RunSupervisorRos::printProgress(const PatientMotion& message)

@@ -90,11 +90,6 @@ void readMessage(const rosbag::MessageInstance& instance, const std::string& top
       {
         throw std::invalid_argument("status is " + std::to_string(refined->result.status) + ", expected 0 to 7");
       }
-      if (!record.refined_poses.empty() && record.refined_poses.begin()->second.method != refined->method)
-      {
-        throw std::invalid_argument("method is " + refined->method + ", that of others is " +
-                                    record.refined_poses.begin()->second.method);
-      }
       insertOnce(record.refined_poses, stamp_ns, *refined);
     }
     else if (const auto pose = instance.instantiate<geometry_msgs::PoseWithCovarianceStamped>())
@@ -155,7 +150,7 @@ FrameResult refinedResult(const TrackingRecord& record, std::int64_t stamp_ns)
   {
     return result;
   }
-  if (refined->second.method == kTrackingAndRegistration)
+  if (record.refined_method == kTrackingAndRegistration)
   {
     result = trackingResult(record, stamp_ns);
   }
@@ -183,7 +178,7 @@ void addMethods(const TrackingRecord& record, Evaluation& evaluation)
   evaluation.methods.push_back(std::move(tracking));
   if (!record.refined_poses.empty())
   {
-    refined.method = record.refined_poses.begin()->second.method;
+    refined.method = record.refined_method;
     evaluation.methods.push_back(std::move(refined));
   }
 }

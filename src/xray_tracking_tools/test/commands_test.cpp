@@ -205,14 +205,20 @@ TEST(EvaluateBag, judgesARunThatRegistersByTheRegistration)
     for (int k = 0; k < 2; ++k)
     {
       const int status = k == 1 ? last : RefinementResult::SUCCESS;
-      recorded.refined(ros::Time(50 + k, 0), "tracking_and_registration", status, 1, 2, 3);
+      recorded.refined(ros::Time(50 + k, 0), status, 1, 2, 3);
     }
     recorded.close();
     const CommandResult result = run("evaluate_bag " + folder.file("run.bag") + " " + folder.file("results") +
-                                     " --setup " + folder.file("sequence.yaml"));
+                                     " --setup " + folder.file("sequence.yaml") +
+                                     " --method tracking_and_registration");
     EXPECT_EQ(last == RefinementResult::SUCCESS ? 0 : 1, result.status) << result.output;
     EXPECT_TRUE(contains(result.output, "frame 1 (51.0000 s) lost: the views disagree\n")) << result.output;
+    EXPECT_TRUE(contains(result.output, "\ntracking_and_registration ")) << result.output;
   }
+  const CommandResult guessing = run("evaluate_bag " + folder.file("run.bag") + " " + folder.file("results") +
+                                     " --setup " + folder.file("sequence.yaml") + " --method guessing");
+  EXPECT_EQ(1, guessing.status);
+  EXPECT_TRUE(contains(guessing.output, "--method is guessing")) << guessing.output;
 }
 
 TEST(EvaluateBag, saysThatNothingWasVerified)

@@ -54,11 +54,10 @@ public:
     pose(stamp, x, y, z);
     gate(stamp, true, xray_tracking_msgs::BeamGate::NONE);
   }
-  void refined(const ros::Time& stamp, const std::string& method, int status, double x, double y, double z)
+  void refined(const ros::Time& stamp, int status, double x, double y, double z)
   {
     xray_tracking_msgs::RefinedPose message;
     message.header.stamp = stamp;
-    message.method = method;
     message.result.status = status;
     message.result.reason = "status " + std::to_string(status);
     message.result.pose.pose = poseMessage(x, y, z);

@@ -66,8 +66,7 @@ private:
 
   std::map<std::string, DetectorCounts> detectors_;
   std::set<ros::Time> motions_;
-  bool registers_ = false;         ///< whether refined poses are waited for
-  bool registers_tracks_ = false;  ///< only of exposures for which tracking was ready
+  bool registers_ = false;  ///< whether refined poses are waited for, of exposures for which motion estimation was ready
   std::set<ros::Time> refined_;
   std::size_t not_ready_ = 0;  ///< exposures for which it was not
   ros::WallTime last_event_;   ///< start, or the last new answer
