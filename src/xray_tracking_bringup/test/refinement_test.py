@@ -36,7 +36,6 @@ class RefinementTest(GraphTestCase):
         for stamp, motion in self.motions.items():
             self.assertEqual(motion.state, PatientMotion.OK, f"{stamp}: {motion.reason}")
         self.assertEqual(sorted(refined), sorted(self.gold))
-        for message in refined.values():
         errors = self.errors_mm(self.box)
         print(f"tracking: TRE mm: median {np.median(errors[1:]):.3f}, max {errors.max():.3f}")
         getattr(self, sys.argv[1])(refined, errors)

@@ -2,8 +2,7 @@
 
 #include <algorithm>
 #include <iterator>
-
-#include "xray_tracking_conversions/conversions.h"
+#include <utility>
 
 namespace xray_tracking
 {
@@ -12,12 +11,27 @@ ExposureStore::ExposureStore(std::vector<std::string> detectors, std::size_t cap
 {
 }
 
-bool ExposureStore::take(StampPolicy& topic, std::int64_t stamp_ns, std::int64_t now_ns)
+std::string ExposureStore::takeImage(std::size_t detector, std::int64_t stamp_ns, std::int64_t now_ns)
+{
+  return take(topics_[detector].images, detectors_[detector] + "/image_raw", stamp_ns, now_ns);
+}
+
+std::string ExposureStore::takeCameraInfo(std::size_t detector, std::int64_t stamp_ns, std::int64_t now_ns)
+{
+  return take(topics_[detector].camera_infos, detectors_[detector] + "/camera_info", stamp_ns, now_ns);
+}
+
+std::string ExposureStore::take(StampPolicy& topic, const std::string& name, std::int64_t stamp_ns, std::int64_t now_ns)
 {
   using Verdict = StampPolicy::Verdict;
   const Verdict verdict = topic.take(stamp_ns, now_ns);
+  if (verdict == Verdict::FUTURE || verdict == Verdict::REPEATED_OR_LATE)
+  {
+    return name + ": " + topic.why();
+  }
   if (verdict == Verdict::RESTART)
   {
+    ++run_;
     exposures_.clear();
     // What is on its way on the other topics may be of the run before: it is forgotten when they start again, too.
     for (Topics& topics : topics_)
@@ -30,71 +44,46 @@ bool ExposureStore::take(StampPolicy& topic, std::int64_t stamp_ns, std::int64_t
         }
       }
     }
-    restarted_ = true;
   }
-  return verdict == Verdict::ACCEPT || verdict == Verdict::RESTART;
+  return std::string();
+}
+
+void ExposureStore::keepImage(std::size_t detector, std::int64_t stamp_ns, std::size_t run, UsableImage image,
+                              const sensor_msgs::ImageConstPtr& pixels)
+{
+  if (run == run_)
+  {
+    StoredView& view = at(stamp_ns)[detector];
+    view.pixels = pixels;
+    view.image = std::move(image);
+  }
+}
+
+void ExposureStore::keepCameraInfo(std::size_t detector, std::int64_t stamp_ns,
+                                   const sensor_msgs::CameraInfoConstPtr& camera_info)
+{
+  at(stamp_ns)[detector].camera_info = camera_info;
 }
 
 StoredExposure& ExposureStore::at(std::int64_t stamp_ns)
 {
-  const auto [entry, is_new] = exposures_.try_emplace(stamp_ns);
-  StoredExposure& exposure = entry->second;
-  if (is_new)
+  const auto [entry, is_new] = exposures_.try_emplace(stamp_ns, detectors_.size());
+  if (is_new && exposures_.size() > capacity_)
   {
-    exposure.images.resize(detectors_.size());
-    exposure.camera_infos.resize(detectors_.size());
-    if (exposures_.size() > capacity_)
-    {
-      exposures_.erase(entry == exposures_.begin() ? std::next(entry) : exposures_.begin());
-    }
+    exposures_.erase(entry == exposures_.begin() ? std::next(entry) : exposures_.begin());
   }
-  return exposure;
-}
-
-std::string ExposureStore::addImage(std::size_t detector, const sensor_msgs::ImageConstPtr& image, std::int64_t now_ns)
-{
-  const std::int64_t stamp_ns = nanosecondsFromTime(image->header.stamp);
-  StampPolicy& topic = topics_[detector].images;
-  // roscpp links publisher and subscriber of one process twice if both come up at the same time.
-  if (const auto kept = exposures_.find(stamp_ns); kept != exposures_.end() && kept->second.images[detector] == image)
-  {
-    return std::string();
-  }
-  if (!take(topic, stamp_ns, now_ns))
-  {
-    return detectors_[detector] + "/image_raw: " + topic.why();
-  }
-  at(stamp_ns).images[detector] = image;
-  return std::string();
-}
-
-std::string ExposureStore::addCameraInfo(std::size_t detector, const sensor_msgs::CameraInfoConstPtr& camera_info,
-                                         std::int64_t now_ns)
-{
-  const std::int64_t stamp_ns = nanosecondsFromTime(camera_info->header.stamp);
-  StampPolicy& topic = topics_[detector].camera_infos;
-  if (const auto kept = exposures_.find(stamp_ns);
-      kept != exposures_.end() && kept->second.camera_infos[detector] == camera_info)
-  {
-    return std::string();
-  }
-  if (!take(topic, stamp_ns, now_ns))
-  {
-    return detectors_[detector] + "/camera_info: " + topic.why();
-  }
-  at(stamp_ns).camera_infos[detector] = camera_info;
-  return std::string();
+  return entry->second;
 }
 
 std::string ExposureStore::missingView(const StoredExposure& exposure) const
 {
   for (std::size_t i = 0; i < detectors_.size(); ++i)
   {
-    if (!exposure.images[i])
+    if (!exposure[i].image)
     {
       return detectors_[i] + "/image_raw has not arrived";
     }
-    if (!exposure.camera_infos[i])
+    if (!exposure[i].camera_info)
     {
       return detectors_[i] + "/camera_info has not arrived";
     }
@@ -102,7 +91,7 @@ std::string ExposureStore::missingView(const StoredExposure& exposure) const
   return std::string();
 }
 
-const StoredExposure* ExposureStore::find(std::int64_t stamp_ns) const
+const StoredExposure* ExposureStore::find(std::int64_t& stamp_ns) const
 {
   if (stamp_ns != 0)
   {
@@ -111,6 +100,11 @@ const StoredExposure* ExposureStore::find(std::int64_t stamp_ns) const
   }
   const auto latest = std::find_if(exposures_.rbegin(), exposures_.rend(),
                                    [this](const auto& entry) { return missingView(entry.second).empty(); });
-  return latest == exposures_.rend() ? nullptr : &latest->second;
+  if (latest == exposures_.rend())
+  {
+    return nullptr;
+  }
+  stamp_ns = latest->first;
+  return &latest->second;
 }
 }  // namespace xray_tracking

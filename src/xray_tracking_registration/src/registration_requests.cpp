@@ -166,7 +166,6 @@ RegistrationRos::RefinementResult RegistrationRos::refine(const RefinementReques
     {
       return resultMessage(stop_ || cancel_ ? RefinementResult::CANCELLED : RefinementResult::NO_EXPOSURE, reason);
     }
-    stamp_ns = nanosecondsFromTime(exposure.images.front()->header.stamp);
     RegistrationRequest request = requestFor(exposure, searchOf(message), progress);
     applyRequest(message, request);
     sequence_->setRegistration(std::move(registration));
@@ -195,7 +194,7 @@ RegistrationRequest RegistrationRos::requestFor(const StoredExposure& exposure, 
   return request;
 }
 
-std::string RegistrationRos::findExposure(std::int64_t stamp_ns, StoredExposure& exposure)
+std::string RegistrationRos::findExposure(std::int64_t& stamp_ns, StoredExposure& exposure)
 {
   std::unique_lock<std::mutex> lock(mutex_);
   const StoredExposure* stored = nullptr;
@@ -206,9 +205,10 @@ std::string RegistrationRos::findExposure(std::int64_t stamp_ns, StoredExposure&
   };
   if (wake_.wait_for(lock, kArrivalTime, [&] { return stop_ || cancel_ || complete(); }) && complete())
   {
-    if (store_->takeRestart())
+    if (run_ != store_->run())
     {
       ROS_WARN_STREAM("exposures start again: forgetting the earlier ones");
+      run_ = store_->run();
       sequence_->forget();
       published_.clear();
     }

@@ -87,20 +87,17 @@ void RegistrationRos::start()
 
 template <typename Message>
 void RegistrationRos::subscribeTo(const std::string& topic,
-                                  std::function<std::string(const boost::shared_ptr<Message const>&)> store)
+                                  std::function<void(const boost::shared_ptr<Message const>&)> handle)
 {
+  // roscpp links publisher and subscriber of one process twice if both come up at the same time.
   const boost::function<void(const boost::shared_ptr<Message const>&)> callback =
-      [this, store = std::move(store)](const boost::shared_ptr<Message const>& message)
+      [handle = std::move(handle),
+       last = boost::weak_ptr<Message const>()](const boost::shared_ptr<Message const>& message) mutable
   {
-    std::string dropped;
+    if (last.lock() != message)
     {
-      const std::lock_guard<std::mutex> lock(mutex_);
-      dropped = store(message);
-    }
-    wake_.notify_all();
-    if (!dropped.empty())
-    {
-      ROS_WARN_STREAM_THROTTLE(1.0, pnh_.getNamespace() << " drops a message: " << dropped);
+      last = message;
+      handle(message);
     }
   };
   subscribers_.push_back(nh_.subscribe<Message>(topic, static_cast<std::uint32_t>(parameters_.queue_size), callback,
@@ -114,18 +111,73 @@ void RegistrationRos::subscribe()
   {
     names.push_back(geometry.name());
   }
+  intakes_.resize(names.size());
   {
     const std::lock_guard<std::mutex> lock(mutex_);
     store_.emplace(names, static_cast<std::size_t>(parameters_.queue_size));
   }
   for (std::size_t i = 0; i < names.size(); ++i)
   {
-    const auto now = [] { return nanosecondsFromTime(ros::Time::now()); };
-    subscribeTo<sensor_msgs::CameraInfo>(names[i] + "/camera_info", [this, i, now](const auto& message)
-                                         { return store_->addCameraInfo(i, message, now()); });
-    subscribeTo<sensor_msgs::Image>(
-        names[i] + "/image_raw", [this, i, now](const auto& message) { return store_->addImage(i, message, now()); });
+    subscribeTo<sensor_msgs::CameraInfo>(names[i] + "/camera_info",
+                                         [this, i](const auto& message) { takeCameraInfo(i, message); });
+    subscribeTo<sensor_msgs::Image>(names[i] + "/image_raw", [this, i](const auto& message) { takeImage(i, message); });
   }
+}
+
+void RegistrationRos::warnOfDropped(const std::string& why) const
+{
+  ROS_WARN_STREAM_THROTTLE(1.0, pnh_.getNamespace() << " drops a message: " << why);
+}
+
+void RegistrationRos::takeCameraInfo(std::size_t detector, const sensor_msgs::CameraInfoConstPtr& camera_info)
+{
+  const std::int64_t stamp_ns = nanosecondsFromTime(camera_info->header.stamp);
+  std::string dropped;
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    dropped = store_->takeCameraInfo(detector, stamp_ns, nanosecondsFromTime(ros::Time::now()));
+    if (dropped.empty())
+    {
+      store_->keepCameraInfo(detector, stamp_ns, camera_info);
+    }
+  }
+  if (!dropped.empty())
+  {
+    warnOfDropped(dropped);
+    return;
+  }
+  wake_.notify_all();
+}
+
+void RegistrationRos::takeImage(std::size_t detector, const sensor_msgs::ImageConstPtr& image)
+{
+  const std::int64_t stamp_ns = nanosecondsFromTime(image->header.stamp);
+  std::string dropped;
+  std::size_t run = 0;
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    dropped = store_->takeImage(detector, stamp_ns, nanosecondsFromTime(ros::Time::now()));
+    run = store_->run();
+  }
+  if (!dropped.empty())
+  {
+    warnOfDropped(dropped);
+    return;
+  }
+  Intake& intake = intakes_[detector];
+  if (intake.run != run)
+  {
+    intake.pixels.reset();
+    intake.run = run;
+  }
+  // Here, while the exposure is tracked, and not when somebody waits for an answer.
+  UsableImage seen = usableImageOf(image, setup_.intensity, intake.pixels);
+  const bool own = seen.image.data != image->data.data();
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    store_->keepImage(detector, stamp_ns, run, std::move(seen), own ? nullptr : image);
+  }
+  wake_.notify_all();
 }
 
 std::string RegistrationRos::load(const std::string& ct_path)

@@ -17,20 +17,14 @@ void SequenceRegistration::setRegistration(std::shared_ptr<const Registration> r
   if (registration_ != registration)
   {
     registration_ = std::move(registration);
-    forgetPoses();
+    forget();
   }
-}
-
-void SequenceRegistration::forgetPoses()
-{
-  target_from_rest_ = RigidTransform::Identity();
-  believed_.reset();
 }
 
 void SequenceRegistration::forget()
 {
-  forgetPoses();
-  usable_pixels_.reset();
+  target_from_rest_ = RigidTransform::Identity();
+  believed_.reset();
 }
 
 bool SequenceRegistration::followsFromBelieved(const RigidTransform& start, std::int64_t stamp_ns) const
@@ -50,20 +44,6 @@ RegistrationResult SequenceRegistration::run(RegistrationRequest request, std::o
   if (!registration_)
   {
     throw std::logic_error("SequenceRegistration::run without a registration");
-  }
-  try
-  {
-    // Images of no sequence have nothing to do with what the detectors send.
-    UsablePixels own;
-    (stamp_ns ? usable_pixels_ : own).apply(stamp_ns.value_or(0), request);
-  }
-  catch (const std::exception& error)
-  {
-    RegistrationResult result;
-    result.reason = error.what();
-    result.room_from_patient = request.room_from_patient;
-    result.target_from_rest = request.target_from_rest;
-    return result;
   }
   request.target_from_rest = target_from_rest_;
   request.start_verified = stamp_ns && !unverified && followsFromBelieved(request.room_from_patient, *stamp_ns);

@@ -14,23 +14,29 @@ constexpr std::int64_t kSecond = 1000000000;
 class ExposureStoreTest : public testing::Test
 {
 protected:
-  template <typename Message>
-  static boost::shared_ptr<Message> stamped(double stamp)
+  void addInfo(std::size_t detector, std::int64_t stamp)
   {
-    const auto message = boost::make_shared<Message>();
-    message->header.stamp = ros::Time(stamp);
-    return message;
+    EXPECT_EQ("", store_.takeCameraInfo(detector, stamp, kNow));
+    store_.keepCameraInfo(detector, stamp, boost::make_shared<sensor_msgs::CameraInfo>());
   }
-  void addView(std::size_t detector, double stamp)
+  void addImage(std::size_t detector, std::int64_t stamp)
   {
-    EXPECT_EQ("", store_.addCameraInfo(detector, stamped<sensor_msgs::CameraInfo>(stamp), kNow));
-    EXPECT_EQ("", store_.addImage(detector, stamped<sensor_msgs::Image>(stamp), kNow));
+    EXPECT_EQ("", store_.takeImage(detector, stamp, kNow));
+    const auto image = boost::make_shared<sensor_msgs::Image>();
+    image->header.seq = static_cast<std::uint32_t>(stamp / kSecond);
+    store_.keepImage(detector, stamp, store_.run(), UsableImage(), image);
   }
-  void addViews(double stamp)
+  void addView(std::size_t detector, std::int64_t stamp)
+  {
+    addInfo(detector, stamp);
+    addImage(detector, stamp);
+  }
+  void addViews(std::int64_t stamp)
   {
     addView(0, stamp);
     addView(1, stamp);
   }
+  const StoredExposure* find(std::int64_t stamp) const { return store_.find(stamp); }
 
   static constexpr std::int64_t kNow = 100 * kSecond;
   ExposureStore store_{ { "a", "b" }, 3 };
@@ -38,74 +44,74 @@ protected:
 
 TEST_F(ExposureStoreTest, findsByStampOrTheLatestWhole)
 {
-  EXPECT_EQ(nullptr, store_.find(0));
-  addViews(1.0);
-  addViews(2.0);
-  addView(0, 3.0);
-  EXPECT_EQ(ros::Time(2.0), store_.find(0)->images[1]->header.stamp);
-  EXPECT_EQ(ros::Time(1.0), store_.find(kSecond)->camera_infos[0]->header.stamp);
-  EXPECT_EQ("b/image_raw has not arrived", store_.missingView(*store_.find(3 * kSecond)));
-  EXPECT_EQ("", store_.addImage(1, stamped<sensor_msgs::Image>(3.0), kNow));
-  EXPECT_EQ("b/camera_info has not arrived", store_.missingView(*store_.find(3 * kSecond)));
-  EXPECT_EQ(nullptr, store_.find(4 * kSecond));
+  std::int64_t latest = 0;
+  EXPECT_EQ(nullptr, store_.find(latest));
+  EXPECT_EQ(0, latest);
+  addViews(1 * kSecond);
+  addViews(2 * kSecond);
+  addView(0, 3 * kSecond);
+  EXPECT_EQ(2U, store_.find(latest)->at(1).pixels->header.seq);
+  EXPECT_EQ(2 * kSecond, latest);
+  EXPECT_EQ(1U, find(kSecond)->at(1).pixels->header.seq);
+  EXPECT_EQ("", store_.missingView(*find(kSecond)));
+  EXPECT_EQ("b/image_raw has not arrived", store_.missingView(*find(3 * kSecond)));
+  addImage(1, 3 * kSecond);
+  EXPECT_EQ("b/camera_info has not arrived", store_.missingView(*find(3 * kSecond)));
+  EXPECT_EQ(nullptr, find(4 * kSecond));
 }
 
 TEST_F(ExposureStoreTest, isBounded)
 {
-  addViews(1.0);
-  const boost::weak_ptr<const sensor_msgs::Image> first = store_.find(kSecond)->images[0];
-  addViews(2.0);
-  addViews(3.0);
+  addViews(1 * kSecond);
+  const boost::weak_ptr<const sensor_msgs::Image> first = find(kSecond)->at(0).pixels;
+  addViews(2 * kSecond);
+  addViews(3 * kSecond);
   EXPECT_FALSE(first.expired());
-  addViews(4.0);
+  addViews(4 * kSecond);
   EXPECT_EQ(3U, store_.size());
-  EXPECT_EQ(nullptr, store_.find(kSecond));
+  EXPECT_EQ(nullptr, find(kSecond));
   EXPECT_TRUE(first.expired()) << "an image that nobody can ask for";
 }
 
 TEST_F(ExposureStoreTest, beginsAnewWhenTimeJumpsBack)
 {
-  for (const double stamp : { 5.0, 6.0, 8.0 })
+  for (const std::int64_t stamp : { 5, 6, 8 })
   {
-    addViews(stamp);
+    addViews(stamp * kSecond);
   }
-  EXPECT_FALSE(store_.takeRestart());
-  addViews(5.0);
+  EXPECT_EQ("", store_.takeImage(1, 9 * kSecond, kNow));
+  EXPECT_EQ(0U, store_.run());
+  addViews(5 * kSecond);
+  EXPECT_EQ(1U, store_.run());
   EXPECT_EQ(1U, store_.size());
-  EXPECT_EQ("", store_.missingView(*store_.find(5 * kSecond)));
-  EXPECT_TRUE(store_.takeRestart());
-  EXPECT_FALSE(store_.takeRestart());
-  addViews(6.0);
+  EXPECT_EQ("", store_.missingView(*find(5 * kSecond)));
+  // An image of the run before that was being looked at meanwhile.
+  store_.keepImage(1, 9 * kSecond, 0, UsableImage(), nullptr);
+  EXPECT_EQ(1U, store_.size());
+  addViews(6 * kSecond);
   EXPECT_EQ(2U, store_.size());
-  EXPECT_FALSE(store_.takeRestart());
+  EXPECT_EQ(1U, store_.run());
 }
 
 TEST_F(ExposureStoreTest, aStampOfTheFutureForgetsNothing)
 {
-  addViews(5.0);
-  for (const double stamp : { 102.0, 4294967295.0 })
+  addViews(5 * kSecond);
+  for (const std::int64_t stamp : { std::int64_t(102), std::int64_t(4294967295) })
   {
-    EXPECT_NE(std::string::npos,
-              store_.addImage(1, stamped<sensor_msgs::Image>(stamp), kNow).find("b/image_raw: the stamp"));
-    EXPECT_NE(std::string::npos,
-              store_.addCameraInfo(0, stamped<sensor_msgs::CameraInfo>(stamp), kNow).find("in the future"));
+    EXPECT_NE(std::string::npos, store_.takeImage(1, stamp * kSecond, kNow).find("b/image_raw: the stamp"));
+    EXPECT_NE(std::string::npos, store_.takeCameraInfo(0, stamp * kSecond, kNow).find("in the future"));
   }
-  addViews(6.0);
+  addViews(6 * kSecond);
   EXPECT_EQ(2U, store_.size());
-  EXPECT_FALSE(store_.takeRestart());
+  EXPECT_EQ(0U, store_.run());
 }
 
 TEST_F(ExposureStoreTest, dropsWhatIsRepeatedOrLate)
 {
-  addViews(5.0);
-  addViews(6.0);
-  const sensor_msgs::ImageConstPtr first = store_.find(6 * kSecond)->images[0];
-  EXPECT_NE(std::string::npos, store_.addImage(0, stamped<sensor_msgs::Image>(6.0), kNow).find("not newer"));
-  EXPECT_NE(std::string::npos, store_.addImage(0, stamped<sensor_msgs::Image>(5.5), kNow).find("not newer"));
-  EXPECT_EQ(first, store_.find(6 * kSecond)->images[0]);
-  EXPECT_EQ(2U, store_.size());
-  // As roscpp links publisher and subscriber of one process twice if both come up at the same time.
-  EXPECT_EQ("", store_.addImage(0, first, kNow));
+  addViews(5 * kSecond);
+  addViews(6 * kSecond);
+  EXPECT_NE(std::string::npos, store_.takeImage(0, 6 * kSecond, kNow).find("not newer"));
+  EXPECT_NE(std::string::npos, store_.takeImage(0, 5 * kSecond + 1, kNow).find("not newer"));
 }
 }  // namespace
 }  // namespace xray_tracking

@@ -3,23 +3,26 @@
 #include <cstddef>
 #include <cstdint>
 #include <map>
+#include <optional>
 #include <string>
-#include <utility>
 #include <vector>
 
 #include <sensor_msgs/CameraInfo.h>
 #include <sensor_msgs/Image.h>
 
 #include "xray_tracking_core/sequence/stamp_policy.h"
+#include "xray_tracking_registration/usable_pixels.h"
 
 namespace xray_tracking
 {
-/// What belongs to one exposure, by its stamp; null: not (yet) there.
-struct StoredExposure
+/// One detector's part of an exposure, as far as it is there.
+struct StoredView
 {
-  std::vector<sensor_msgs::ImageConstPtr> images;             ///< one a detector
-  std::vector<sensor_msgs::CameraInfoConstPtr> camera_infos;  ///< one a detector
+  sensor_msgs::CameraInfoConstPtr camera_info;
+  std::optional<UsableImage> image;
+  sensor_msgs::ImageConstPtr pixels;  ///< whose pixels `image` has, unless these are its own
 };
+using StoredExposure = std::vector<StoredView>;  ///< one a detector
 
 /// The latest exposures, by their stamps, for who asks about them.
 ///
@@ -31,15 +34,20 @@ public:
   /// @param detectors names, for messages; @param capacity number of exposures kept, 1 or more
   ExposureStore(std::vector<std::string> detectors, std::size_t capacity);
 
-  /// @param now_ns as StampPolicy::take. @return why it was dropped; empty: it is kept
-  std::string addImage(std::size_t detector, const sensor_msgs::ImageConstPtr& image, std::int64_t now_ns);
-  std::string addCameraInfo(std::size_t detector, const sensor_msgs::CameraInfoConstPtr& camera_info,
-                            std::int64_t now_ns);
-  /// Whether another run has begun since this was last asked.
-  bool takeRestart() { return std::exchange(restarted_, false); }
+  /// Of what has just come. @param now_ns as StampPolicy::take. @return why it is to be dropped; empty: it is to be
+  /// kept
+  std::string takeImage(std::size_t detector, std::int64_t stamp_ns, std::int64_t now_ns);
+  std::string takeCameraInfo(std::size_t detector, std::int64_t stamp_ns, std::int64_t now_ns);
+  /// Keeps what was taken. @param run in which that was; nothing is kept of one that has ended since
+  void keepImage(std::size_t detector, std::int64_t stamp_ns, std::size_t run, UsableImage image,
+                 const sensor_msgs::ImageConstPtr& pixels);
+  void keepCameraInfo(std::size_t detector, std::int64_t stamp_ns, const sensor_msgs::CameraInfoConstPtr& camera_info);
+  /// Number of runs that have ended.
+  std::size_t run() const { return run_; }
 
-  /// The exposure of a stamp [ns], or the latest with all views if the stamp is zero; null if there is none.
-  const StoredExposure* find(std::int64_t stamp_ns) const;
+  /// The exposure of a stamp; null if there is none.
+  /// @param stamp_ns zero: that of the latest with all views, which it is then set to
+  const StoredExposure* find(std::int64_t& stamp_ns) const;
   /// Names the first image or camera_info that the exposure lacks; empty if it has all.
   std::string missingView(const StoredExposure& exposure) const;
 
@@ -52,14 +60,14 @@ private:
     StampPolicy camera_infos;
   };
 
-  /// @return whether the message is to be kept
-  bool take(StampPolicy& topic, std::int64_t stamp_ns, std::int64_t now_ns);
+  /// @param name of the topic. @return as takeImage
+  std::string take(StampPolicy& topic, const std::string& name, std::int64_t stamp_ns, std::int64_t now_ns);
   StoredExposure& at(std::int64_t stamp_ns);
 
   std::vector<std::string> detectors_;
   std::size_t capacity_;
   std::map<std::int64_t, StoredExposure> exposures_;
   std::vector<Topics> topics_;  ///< one a detector
-  bool restarted_ = false;
+  std::size_t run_ = 0;
 };
 }  // namespace xray_tracking

@@ -55,9 +55,12 @@ private:
 
   void start();
   void subscribe();
-  /// @param store called with every message while the mutex is held; returns why it is dropped, if it is
+  /// @param handle called with every message
   template <typename Message>
-  void subscribeTo(const std::string& topic, std::function<std::string(const boost::shared_ptr<Message const>&)> store);
+  void subscribeTo(const std::string& topic, std::function<void(const boost::shared_ptr<Message const>&)> handle);
+  void takeImage(std::size_t detector, const sensor_msgs::ImageConstPtr& image);
+  void takeCameraInfo(std::size_t detector, const sensor_msgs::CameraInfoConstPtr& camera_info);
+  void warnOfDropped(const std::string& why) const;
   /// Loads a CT, or the phantom where the path is empty, and makes it the one in use. @return why it could not; empty
   /// if it could
   std::string load(const std::string& ct_path);
@@ -72,9 +75,9 @@ private:
   RefinementResult refine(const RefinementRequest& message, const Progress& progress, std::int64_t& stamp_ns);
   void publishRefined(std::int64_t stamp_ns, const RefinementResult& result, double cpu_seconds,
                       const ros::SteadyTime& arrival);
-  /// The exposure that a request means; waits for what of it is still on its way.
+  /// The exposure that a request means, see ExposureStore::find; waits for what of it is still on its way.
   /// @return why there is none; empty if there is
-  std::string findExposure(std::int64_t stamp_ns, StoredExposure& exposure);
+  std::string findExposure(std::int64_t& stamp_ns, StoredExposure& exposure);
   /// With all but the start.
   RegistrationRequest requestFor(const StoredExposure& exposure, Search search, const Progress& progress) const;
   RefinementResult busyResult() const;
@@ -95,8 +98,17 @@ private:
   TreatmentSetup setup_;
   std::string configuration_fault_;  ///< empty if the node works
 
+  /// Of the callbacks of a detector's images, one at a time.
+  struct Intake
+  {
+    DetectorPixels pixels;
+    std::size_t run = 0;  ///< that `pixels` is of
+  };
+  std::vector<Intake> intakes_;
+
   // Of who works on a request alone.
   std::optional<SequenceRegistration> sequence_;
+  std::size_t run_ = 0;                 ///< that it is of
   std::deque<std::int64_t> published_;  ///< stamps of the last exposures on refined_pose
 
   std::atomic<bool> stop_{ false };

@@ -5,7 +5,6 @@
 #include <optional>
 
 #include "xray_tracking_registration/registration.h"
-#include "xray_tracking_registration/usable_pixels.h"
 
 namespace xray_tracking
 {
@@ -24,10 +23,8 @@ public:
   /// @param registration not null
   void setRegistration(std::shared_ptr<const Registration> registration);
 
-  /// Registers an exposure. Never throws for bad requests: they give INVALID and the reason, as do images that show
-  /// nothing, or what an exposure before showed (UsablePixels).
-  /// @param request start, views, intensity, bounds, budget; usable pixels, the rest's start and whether the start is
-  ///        verified are set here
+  /// Registers an exposure. Never throws for bad requests: they give INVALID and the reason.
+  /// @param request all but the rest's start, and whether the start is verified, which are set here
   /// @param stamp_ns of the exposure; nothing: the images belong to no sequence, and what comes of them says nothing of
   ///        the next exposure
   /// @param unverified who asks has nothing that confirms the start; else it is verified where it follows from a
@@ -47,11 +44,9 @@ private:
   };
 
   bool followsFromBelieved(const RigidTransform& start, std::int64_t stamp_ns) const;
-  void forgetPoses();
 
   Eigen::Vector3d target_centre_;
   std::shared_ptr<const Registration> registration_;
-  UsablePixels usable_pixels_;
   RigidTransform target_from_rest_ = RigidTransform::Identity();
   std::optional<BelievedPose> believed_;  ///< of the last exposure that was registered with success
 };
