@@ -48,21 +48,23 @@ const char* motionStateName(MotionState state)
   return kNames[static_cast<std::size_t>(state)];
 }
 
+const char* poseMethodName(PoseMethod method)
+{
+  static const char* const kNames[] = { "tracking", "registration", "tracking_and_registration" };
+  return kNames[static_cast<std::size_t>(method)];
+}
+
 PoseMethod poseMethodFromName(const std::string& name)
 {
-  if (name == "tracking")
+  for (const PoseMethod method :
+       { PoseMethod::TRACKING, PoseMethod::REGISTRATION, PoseMethod::TRACKING_AND_REGISTRATION })
   {
-    return PoseMethod::TRACKING;
+    if (name == poseMethodName(method))
+    {
+      return method;
+    }
   }
-  if (name == "registration")
-  {
-    return PoseMethod::REGISTRATION;
-  }
-  if (name == "tracking_and_registration")
-  {
-    return PoseMethod::TRACKING_AND_REGISTRATION;
-  }
-  throw std::invalid_argument("the method is '" + name +
+  throw std::invalid_argument("method is '" + name +
                               "', expected tracking, registration or tracking_and_registration");
 }
 

@@ -27,6 +27,7 @@ enum class PoseMethod
 
 /// @throws std::invalid_argument if `name` is none of tracking, registration, tracking_and_registration
 PoseMethod poseMethodFromName(const std::string& name);
+const char* poseMethodName(PoseMethod method);
 
 struct MotionMonitorOptions
 {

@@ -365,6 +365,7 @@ void MotionEstimationRos::publish(const MotionDecision& decision)
   motion.header.frame_id = kRoomFrame;
   motion.state = static_cast<std::uint8_t>(decision.state);
   motion.reason = decision.reason;
+  motion.method = poseMethodName(parameters_.monitor.method);
   motion.source = static_cast<std::uint8_t>(decision.source);
   motion.not_registered = decision.not_registered;
   motion.translation = vectorMsgFromMillimetres(decision.displacement);

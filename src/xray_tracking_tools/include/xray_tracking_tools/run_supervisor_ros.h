@@ -12,7 +12,6 @@
 #include <ros/ros.h>
 #include <sensor_msgs/CameraInfo.h>
 #include <xray_tracking_msgs/PatientMotion.h>
-#include <xray_tracking_msgs/RefinedPose.h>
 #include <xray_tracking_msgs/TrackedRegion.h>
 
 #include "xray_tracking_tools/graph_connections.h"
@@ -49,7 +48,6 @@ private:
   std::string callStartService() const;
   void setWaitingFor(const std::string& text);
   void motionCallback(const xray_tracking_msgs::PatientMotion& message);
-  void refinedPoseCallback(const xray_tracking_msgs::RefinedPose& message);
   /// Exposures of which every answer that is waited for has come.
   std::size_t answered() const;
   void tick();
@@ -66,10 +64,6 @@ private:
 
   std::map<std::string, DetectorCounts> detectors_;
   std::set<ros::Time> motions_;
-  bool registers_ = false;         ///< whether refined poses are waited for
-  bool registers_tracks_ = false;  ///< only of exposures for which tracking was ready
-  std::set<ros::Time> refined_;
-  std::size_t not_ready_ = 0;  ///< exposures for which it was not
   ros::WallTime last_event_;   ///< start, or the last new answer
   ros::WallTime last_print_;
   int exit_status_ = 1;
