@@ -16,9 +16,9 @@ namespace
 /// Exposures that an answer may be about after its deadline; what was asked about an older one moves the poses only.
 constexpr std::size_t kDecidedCapacity = 200;
 
-constexpr int kLostExposures = 2;               ///< in a row, before a region is learnt anew
-constexpr std::int64_t kProposals = 1000000000; ///< between two proposals for a view [ns]
-constexpr double kAstray = 1.0;                 ///< from where a registration sees the target [mm]
+constexpr int kAstrayExposures = 2;              ///< in a row, before a region is learnt anew
+constexpr std::int64_t kProposals = 1000000000;  ///< between two proposals for a view [ns]
+constexpr double kAstray = 1.0;                  ///< from where a registration sees the target [mm]
 
 double largestEigenvalue(const Eigen::Matrix3d& covariance)
 {
@@ -381,33 +381,35 @@ void MotionMonitor::proposeRegions()
   {
     const std::optional<TrackedView>& view = exposure.views[i];
     Astray& astray = astray_[i];
+    std::optional<cv::Rect> region;
+    if (view && !view->region.empty() && current_->refinement)
+    {
+      region = tracks_.regionAt(i, current_->refinement->refined);
+    }
     const bool lost = view && view->state == RegionState::LOST;
-    astray.exposures = lost ? astray.exposures + 1 : 0;
-    if (!current_->refinement || !view || view->region.empty() || view->state == RegionState::BLIND ||
-        (astray.proposed && exposure.stamp - *astray.proposed < kProposals))
-    {
-      continue;
-    }
-    const RigidTransform& pose = current_->refinement->refined;
-    const std::optional<cv::Rect> region = tracks_.regionAt(i, pose);
-    if (!region)
-    {
-      continue;
-    }
-    bool wrong = astray.exposures >= kLostExposures;
-    if (!lost && current_->tracks.state == MotionState::INCONSISTENT)
-    {
-      const ProjectionGeometry& geometry = tracks_.geometries()[i];
-      const cv::Point shift = region->tl() - view->region.tl();
-      const double pixels = (Eigen::Vector2d(shift.x, shift.y) - view->track.displacement).norm();
-      wrong = pixels * geometry.pixelPitch().mean() > kAstray * geometry.magnification(pose * target_centre_);
-    }
-    if (wrong)
+    const bool elsewhere = region && current_->tracks.state == MotionState::INCONSISTENT && followsOther(i, *region);
+    astray.exposures = lost || elsewhere ? astray.exposures + 1 : 0;
+    if (region && astray.exposures >= kAstrayExposures &&
+        (!astray.proposed || exposure.stamp - *astray.proposed >= kProposals))
     {
       astray.proposed = exposure.stamp;
       proposals_.push_back({ i, *region });
     }
   }
+}
+
+bool MotionMonitor::followsOther(std::size_t view, const cv::Rect& region) const
+{
+  const TrackedView& tracked = *current_->exposure.views[view];
+  if (tracked.state != RegionState::TRACKING && tracked.state != RegionState::DEGRADED)
+  {
+    return false;
+  }
+  const ProjectionGeometry& geometry = tracks_.geometries()[view];
+  const cv::Point shift = region.tl() - tracked.region.tl();
+  const double pixels = (Eigen::Vector2d(shift.x, shift.y) - tracked.track.displacement).norm();
+  const Eigen::Vector3d target = current_->refinement->refined * target_centre_;
+  return pixels * geometry.pixelPitch().mean() > kAstray * geometry.magnification(target);
 }
 
 void MotionMonitor::decide(std::int64_t now)

@@ -163,19 +163,20 @@ bool RefinementPolicy::demand()
 
 void RefinementPolicy::extendChain(const RefinementReply& reply, std::int64_t stamp)
 {
-  Chain chain{ stamp, reply.room_from_patient, reply.covariance, 1, 0 };
+  Chain chain{ stamp, reply.room_from_patient, reply.covariance, 1, 1, 0 };
   if (chain_ && stamp > chain_->stamp)
   {
     const Twist way = targetMotion(chain_->refined, chain.refined, target_centre_);
     const PoseCovariance covariance = covarianceAt(target_centre_, chain_->refined, chain_->covariance) +
                                       covarianceAt(target_centre_, chain.refined, chain.covariance);
     const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> axes(covariance.topLeftCorner<3, 3>(), Eigen::EigenvaluesOnly);
-    const double bound = std::min(options_.target_speed * 1e-9 * static_cast<double>(stamp - chain_->stamp),
-                                  options_.max_correction) +
+    const double gone = options_.target_speed * 1e-9 * static_cast<double>(stamp - chain_->stamp);
+    const double bound = std::min(gone, options_.max_correction) +
                          kSigmas * std::sqrt(std::max(0.0, axes.eigenvalues()[2])) + kRegistrationSpread;
     if (way.tail<3>().norm() <= bound && way.head<3>().norm() <= options_.max_correction_rotation)
     {
       chain.length = std::min(chain_->length + 1, kChainWithoutTracks);
+      chain.dense = gone < options_.max_correction ? std::min(chain_->dense + 1, kChainAgainstTracks) : 1;
       chain.against = std::min(chain_->against, kChainAgainstTracks);
     }
   }
@@ -198,7 +199,11 @@ RefinementPolicy::Judgement RefinementPolicy::judge(const RefinementReply& reply
   else
   {
     extendChain(reply, exposure.stamp);
-    judgement.reason = exposure.tracked ? contradiction(reply, exposure) : excess(reply, exposure, 1.0);
+    judgement.reason = excess(reply, exposure, 1.0);
+    if (judgement.reason.empty() && exposure.tracked && chain_->dense < kChainAgainstTracks)
+    {
+      judgement.reason = contradiction(reply, exposure);
+    }
     chain_->against = exposure.tracked && !judgement.reason.empty() ? chain_->against + 1 : 0;
     if (chain_->against >= kChainAgainstTracks && excess(reply, exposure, 2.0).empty())
     {
@@ -262,10 +267,6 @@ std::string RefinementPolicy::excess(const RefinementReply& reply, const Refinem
 
 std::string RefinementPolicy::contradiction(const RefinementReply& reply, const RefinementSeed& exposure) const
 {
-  if (std::string text = excess(reply, exposure, 1.0); !text.empty())
-  {
-    return text;
-  }
   const Twist correction = targetMotion(exposure.room_from_patient, reply.room_from_patient, target_centre_);
   const PoseCovariance covariance = covarianceAt(target_centre_, exposure.room_from_patient, exposure.covariance) +
                                     covarianceAt(target_centre_, reply.room_from_patient, reply.covariance);

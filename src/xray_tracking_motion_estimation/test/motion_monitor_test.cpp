@@ -350,6 +350,10 @@ TEST_F(MonitorTest, AViewThatFollowsSomethingElseIsFound)
   const auto stray = [](std::vector<std::optional<TrackedView>>& views) { views[1]->track.displacement.x() += 20.0; };
   expectPose(registered({ 0.0, 0.0, 0.0 }, Eigen::Vector3d::Zero(), stray), PoseSource::REGISTERED, { 0.0, 0.0, 0.0 },
              kExact);
+  EXPECT_FALSE(monitor->takeProposal()) << "tissue may have come between";
+  const auto farther = [](std::vector<std::optional<TrackedView>>& views) { views[1]->track.displacement.x() += 40.0; };
+  expectPose(registered({ 0.0, 0.0, 0.0 }, Eigen::Vector3d::Zero(), farther), PoseSource::REGISTERED, { 0.0, 0.0, 0.0 },
+             kExact);
   const std::optional<RegionProposal> proposal = monitor->takeProposal();
   ASSERT_TRUE(proposal);
   EXPECT_EQ(proposal->view, 1u);

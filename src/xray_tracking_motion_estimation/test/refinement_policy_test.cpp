@@ -377,6 +377,21 @@ TEST_F(RefinementTest, RefusesWhatContradictsTheTracks)
   EXPECT_TRUE(refine(policy, exposureAt(moved(1.0)), moved(1.0, 0.0, 0.0, 0.035)).refinement) << policy.lastRefusal();
 }
 
+// Tissue that carries tracks away is no reason to doubt registrations that go on as they were; the first one is.
+TEST_F(RefinementTest, RegistrationsThatFollowEachOtherOutweighWhatTracksAreUncertainBy)
+{
+  options.mode = RefinementMode::EVERY_FRAME;
+  tracked_variance = 0.04;
+  RefinementPolicy policy = makePolicy();
+  EXPECT_EQ(refine(policy, exposureAt(moved(2.0)), moved(0.0)).verdict, RefinementVerdict::CONTRADICTS);
+  EXPECT_TRUE(refine(policy, exposureAt(moved(0.1)), moved(0.1)).refinement);
+  EXPECT_TRUE(refine(policy, exposureAt(moved(2.0)), moved(0.2)).refinement) << policy.lastRefusal();
+  EXPECT_EQ(refine(policy, exposureAt(moved(5.4)), moved(0.3)).verdict, RefinementVerdict::CONTRADICTS);
+  // Not if they are so far apart in time that the target can have gone anywhere.
+  now += 400 * kMillisecond;
+  EXPECT_EQ(refine(policy, exposureAt(moved(2.0)), moved(0.4)).verdict, RefinementVerdict::CONTRADICTS);
+}
+
 // Tracks measure the target's translation in the room and, if at all, its rotation since the reference; the reference
 // was wrong by a rotation and a translation. The answer comes after the target has moved on.
 TEST(Refinement, IsCarriedForwardByTheMotionSince)

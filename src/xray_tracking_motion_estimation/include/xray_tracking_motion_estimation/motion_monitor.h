@@ -155,6 +155,8 @@ private:
   void applyLate(const Refinement& refinement);
   /// Of views that have lost the target, or follow something else, while the current exposure is registered.
   void proposeRegions();
+  /// Whether a view's track is far from where the registration sees the target. @param region its, there [px]
+  bool followsOther(std::size_t view, const cv::Rect& region) const;
   MotionDecision decisionOf(std::int64_t now) const;
   void tellGate(const MotionDecision& decision, std::int64_t now);
   Eigen::Vector3d displacement(const RigidTransform& room_from_patient) const;
@@ -182,7 +184,7 @@ private:
   /// Of a view that does not follow the target.
   struct Astray
   {
-    int exposures = 0;                       ///< lost in a row
+    int exposures = 0;                       ///< in a row
     std::optional<std::int64_t> proposed{};  ///< stamp of the last proposal
   };
   std::vector<Astray> astray_;

@@ -114,9 +114,10 @@ enum class RefinementVerdict
 /// Says when to ask for refinements and judges what comes back. One request at a time; all methods from one thread.
 ///
 /// A believed pose is accepted if it agrees with the tracked one, by bounds and by chi-square. Registrations that agree
-/// with each other, by the way that the target can have gone meanwhile, outweigh tracks: three in a row those that
-/// contradict them, up to twice the bound of a correction, two in a row those that have lost the target, up to the bound
-/// and the way that the target can have gone since the last pose. So nobody gets to the next vertebra at once.
+/// with each other, by the way that the target can have gone meanwhile, outweigh tracks: three in a row those that are
+/// off by more than chi-square allows, if exposures are so dense that this way is less than the bound; three in a row
+/// that contradict them those that are off by up to twice the bound; two in a row those that have lost the target, up to
+/// the bound and the way that the target can have gone since the last pose. So nobody gets to the next vertebra at once.
 class RefinementPolicy
 {
 public:
@@ -173,13 +174,14 @@ private:
     RigidTransform refined;
     PoseCovariance covariance;
     int length;
+    int dense;    ///< the last ones of them between which the target cannot have gone far
     int against;  ///< the last ones of them that contradict the tracks
   };
   /// What is wrong with an answer by itself; empty if nothing is.
   std::string fault(const RefinementReply& reply) const;
   /// How it is out of the bounds of a correction; empty if it is not. @param factor on the bounds
   std::string excess(const RefinementReply& reply, const RefinementSeed& exposure, double factor) const;
-  /// How it contradicts the tracked pose; empty if it does not.
+  /// How it contradicts the tracked pose within the bounds; empty if it does not.
   std::string contradiction(const RefinementReply& reply, const RefinementSeed& exposure) const;
   void extendChain(const RefinementReply& reply, std::int64_t stamp);
 
