@@ -54,9 +54,11 @@ class ConfigurationTest(unittest.TestCase):
     def test_who_verifies_the_pose(self):
         path = next(path for path in files("launch", "*.launch") if path.name == "tracking.launch")
         arguments = REQUIRED_ARGUMENTS[path.name]
-        for method, mode in zip(METHODS, ("never", "on_demand", "every_frame")):
+        for method, mode in zip(METHODS, ("never", "every_frame", "every_frame")):
             params = load(path, arguments + [f"method:={method}"]).params
+            self.assertEqual(params["/motion_estimation/method"].value, method)
             self.assertEqual(params["/motion_estimation/refinement/mode"].value, mode)
+            self.assertNotIn("/registration/method", params)
             self.assertIs(params["/motion_estimation/gate/initial_pose_verified"].value, False)
         for name in ("tracking.launch", "playback.launch", "treatment_room.launch"):
             path = next(path for path in files("launch", "*.launch") if path.name == name)

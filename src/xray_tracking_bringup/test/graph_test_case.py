@@ -149,12 +149,15 @@ class GraphTestCase(unittest.TestCase):
 
     def wait_for_graph(self):
         me = rospy.get_name()
-        topics = {"/patient_pose": [me], "/patient_motion": [me], "/patient_ground_truth": [me], "/tf": [me],
-                  "/tf_static": ["/motion_estimation"]}
-        for name in self.detectors:
-            topics[f"/{name}/image_raw"] = ["/xray_nodelets"]
-            topics[f"/{name}/camera_info"] = ["/motion_estimation"]
-            topics[f"/{name}/tracked_region"] = ["/motion_estimation", me]
+        # Names of the namespace that this test and the graph are in.
+        name = rospy.resolve_name
+        estimation = name("motion_estimation")
+        topics = {name("patient_pose"): [me], name("patient_motion"): [me], name("patient_ground_truth"): [me],
+                  "/tf": [me], "/tf_static": [estimation]}
+        for detector in self.detectors:
+            topics[name(f"{detector}/image_raw")] = [name("xray_nodelets")]
+            topics[name(f"{detector}/camera_info")] = [estimation]
+            topics[name(f"{detector}/tracked_region")] = [estimation, me]
         self.wait_for_subscribers(topics)
 
     def wait_for_listeners(self, node, topics):
@@ -173,7 +176,7 @@ class GraphTestCase(unittest.TestCase):
         self.wait_for(ready, 60.0, f"{node} reaches {topics}")
 
     def start_simulator(self):
-        start = rospy.ServiceProxy("/detector_simulator/start", Trigger)
+        start = rospy.ServiceProxy("detector_simulator/start", Trigger)
         start.wait_for_service(60.0)
         self.wait_for(lambda: start().success, 60.0, "start of the simulator")
 

@@ -49,7 +49,8 @@ class SequenceTest(GraphTestCase):
     def play(self, bag, exposures):
         player = subprocess.Popen(["rosbag", "play", "--clock", "--quiet", "--pause", bag, "__name:=player"])
         try:
-            listeners = {"/patient_ground_truth": [rospy.get_name()]}
+            listeners = {"/patient_ground_truth": [rospy.get_name()],
+                         "/clock": ["/motion_estimation", "/xray_nodelets", "/registration"]}
             for name in DETECTORS:
                 listeners[f"/{name}/image_raw"] = ["/xray_nodelets", "/registration"]
                 listeners[f"/{name}/camera_info"] = ["/motion_estimation", "/registration"]

@@ -101,7 +101,7 @@ bool HyperplaneTrackerRos::trainRegionCb(TrainRegion::Request& request, TrainReg
 {
   try
   {
-    response = requests_.ask(rectFromRegionMsg(request.region), settings().train_timeout);
+    response = requests_.ask({ Training::Kind::REGION, rectFromRegionMsg(request.region) }, settings().train_timeout);
   }
   catch (const std::invalid_argument& error)
   {
@@ -112,18 +112,21 @@ bool HyperplaneTrackerRos::trainRegionCb(TrainRegion::Request& request, TrainReg
 
 bool HyperplaneTrackerRos::retrainCb(Trigger::Request&, Trigger::Response& response)
 {
-  const TrainRegion::Response outcome = requests_.ask(std::nullopt, settings().train_timeout);
-  response.success = static_cast<std::uint8_t>(outcome.status == TrainRegion::Response::OK);
-  response.message = outcome.message;
+  serve({ Training::Kind::AGAIN, {} }, response);
   return true;
 }
 
 bool HyperplaneTrackerRos::resetCb(Trigger::Request&, Trigger::Response& response)
 {
-  reset_asked_ = true;
-  response.success = 1;
-  response.message = "the next exposure is treated as the first one";
+  serve({ Training::Kind::ANEW, {} }, response);
   return true;
+}
+
+void HyperplaneTrackerRos::serve(const Training& training, Trigger::Response& response)
+{
+  const TrainRegion::Response outcome = requests_.ask(training, settings().train_timeout);
+  response.success = static_cast<std::uint8_t>(outcome.status == TrainRegion::Response::OK);
+  response.message = outcome.message;
 }
 
 void HyperplaneTrackerRos::reconfigureCb(Config& config)

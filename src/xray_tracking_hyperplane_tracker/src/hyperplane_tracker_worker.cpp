@@ -1,6 +1,5 @@
 // What HyperplaneTrackerRos does in its worker thread: from an exposure to its answer.
 #include <algorithm>
-#include <cmath>
 #include <exception>
 #include <stdexcept>
 
@@ -22,13 +21,12 @@ namespace
 namespace encodings = sensor_msgs::image_encodings;
 using xray_tracking_msgs::TrackedRegion;
 
-/// Time that stamps go back by when a bag starts again; less is a disorder of exposures.
-const ros::Duration kBackwardJump(1.0);
-/// How far in the future a stamp may be: beyond, the next good one would look like a bag that starts again.
-const ros::Duration kAhead = kBackwardJump;
-/// Share of the region outside the field from which on it is not looked for: what covers more than a quarter disturbs.
-constexpr double kMostOutside = 0.5;
-const TrackedRegion::_linear_type kIdentity = { 1.0, 0.0, 0.0, 1.0 };
+static_assert(static_cast<int>(ViewAnswer::State::UNTRAINED) == TrackedRegion::UNTRAINED &&
+                  static_cast<int>(ViewAnswer::State::TRACKING) == TrackedRegion::TRACKING &&
+                  static_cast<int>(ViewAnswer::State::LOST) == TrackedRegion::LOST &&
+                  static_cast<int>(ViewAnswer::State::DEGRADED) == TrackedRegion::DEGRADED &&
+                  static_cast<int>(ViewAnswer::State::BLIND) == TrackedRegion::BLIND,
+              "ViewAnswer::State has TrackedRegion's numbers");
 
 cv::Scalar stateColour(std::uint8_t state)
 {
@@ -48,23 +46,25 @@ bool hasDetector(const TreatmentSetup& setup, const std::string& name)
                      [&name](const ProjectionGeometry& detector) { return detector.name() == name; });
 }
 
-/// Why a region was not found.
-const char* lossName(TrackResult::Status status)
+void setMotion(const ViewAnswer& answer, TrackedRegion& message)
 {
-  switch (status)
-  {
-    case TrackResult::Status::OUT_OF_IMAGE:
-      return "the region has left the image";
-    case TrackResult::Status::DIVERGED:
-      return "the search for the region did not settle";
-    default:
-      return "nothing looks enough like the region";
-  }
+  const TrackResult& motion = answer.motion;
+  message.displacement_x = motion.displacement.x();
+  message.displacement_y = motion.displacement.y();
+  Eigen::Map<Eigen::Matrix<double, 2, 2, Eigen::RowMajor>>(message.linear.data()) = motion.linear;
+  Eigen::Map<Eigen::Matrix<double, 6, 6, Eigen::RowMajor>>(message.covariance.data()) = motion.covariance;
+  message.correlation = motion.correlation;
+  message.quality = motion.quality;
+  message.iterations = static_cast<std::uint32_t>(motion.iterations);
 }
 
-double finiteOrZero(double value)
+/// What a training that worked is said to have done.
+std::string successOf(const Training& training, bool trained, const ros::Time& stamp)
 {
-  return std::isfinite(value) ? value : 0.0;
+  const std::string exposure = "the exposure of " + std::to_string(stamp.toSec());
+  return training.kind == Training::Kind::AGAIN ? "learnt again from " + exposure
+         : trained                              ? "trained on " + exposure
+                   : "the template is forgotten as of " + exposure + "; there is no region to learn another one of";
 }
 
 /// The message's pixels, not copied. @throws std::invalid_argument or cv_bridge::Exception saying what is wrong
@@ -121,7 +121,6 @@ void HyperplaneTrackerRos::configure()
         adoptGeometry(setup);
       }
     }
-    region_ = configured_region_;
     makeTracker();
   }
   catch (const std::exception& error)
@@ -164,8 +163,8 @@ void HyperplaneTrackerRos::makeTracker()
     registration_ = registration.get();
     tracker = std::move(registration);
   }
-  tracker_.emplace(std::move(tracker), intensity_, parameters_.tracker.reduction);
-  check_.emplace(intensity_);
+  tracker_.emplace(std::move(tracker), intensity_, parameters_.tracker.reduction, parameters_.tracker.model,
+                   parameters_.model_by_data, configured_region_);
 }
 
 void HyperplaneTrackerRos::adoptSettings()
@@ -184,35 +183,26 @@ void HyperplaneTrackerRos::adoptSettings()
   }
 }
 
-void HyperplaneTrackerRos::startAnew()
-{
-  if (tracker_)
-  {
-    tracker_->reset();
-    check_->reset();
-  }
-  reference_.reset();
-}
-
 bool HyperplaneTrackerRos::acceptStamp(const ros::Time& stamp)
 {
-  const ros::Time now = ros::Time::now();  // zero: simulated, and no clock has come yet
-  const bool ahead = !now.isZero() && stamp > now + kAhead;
-  const bool older = !last_stamp_.isZero() && stamp <= last_stamp_;
-  if (ahead || (older && last_stamp_ - stamp <= kBackwardJump))
+  using Verdict = StampPolicy::Verdict;
+  const Verdict verdict = stamps_.take(nanosecondsFromTime(stamp), nanosecondsFromTime(ros::Time::now()));
+  if (verdict == Verdict::FUTURE || verdict == Verdict::REPEATED_OR_LATE)
   {
-    ROS_WARN_STREAM_THROTTLE(1.0, pnh_.getNamespace() << " drops the exposure of " << stamp << ", expected a stamp "
-                                                      << (ahead ? "before " : "after ") << (ahead ? now : last_stamp_));
+    ROS_WARN_STREAM_THROTTLE(1.0, pnh_.getNamespace() << " drops an exposure: " << stamps_.why());
     const std::lock_guard<std::mutex> lock(snapshot_mutex_);
     ++snapshot_.bad_stamps;
     return false;
   }
-  if (older)
+  if (verdict == Verdict::RESTART)
   {
-    ROS_WARN_STREAM(pnh_.getNamespace() << " starts anew: time went back from " << last_stamp_ << " to " << stamp);
-    startAnew();
+    ROS_WARN_STREAM(pnh_.getNamespace() << " starts anew: " << stamps_.why());
+    if (tracker_)
+    {
+      tracker_->startAnew();
+      reference_.reset();
+    }
   }
-  last_stamp_ = stamp;
   return true;
 }
 
@@ -220,35 +210,118 @@ void HyperplaneTrackerRos::process(const Arrival& arrival)
 {
   const Stopwatch stopwatch;
   adoptSettings();
-  if (!acceptStamp(arrival.image->header.stamp))
+  const sensor_msgs::ImageConstPtr& image = arrival.image;
+  if (!acceptStamp(image->header.stamp))
   {
     return;
   }
-  if (reset_asked_.exchange(false))
+  const std::shared_ptr<TrainingRequest> request = requests_.take();
+  ViewAnswer answer;
+  cv_bridge::CvImageConstPtr pixels;
+  if (!tracker_)
   {
-    ROS_INFO_STREAM(pnh_.getNamespace() << " starts anew: it was asked to");
-    startAnew();
-    region_ = configured_region_;
+    answer.model = parameters_.tracker.model;
+    answer.fault = configuration_fault_;
+    answer.error = true;
   }
+  else
+  {
+    const bool is_first = !tracker_->trained();
+    if (is_first && (request || tracker_->wantedRegion()))
+    {
+      showState(TrackedRegion::TRAINING);
+    }
+    try
+    {
+      pixels = pixelsOf(image);
+      answer = tracker_->answer(pixels->image, nanosecondsFromTime(image->header.stamp),
+                                request ? std::optional<Training>(request->training) : std::nullopt);
+    }
+    catch (const std::exception& error)
+    {
+      answer = tracker_->answerUnreadable(error.what());
+    }
+    if (is_first)
+    {
+      noteReference(image);
+    }
+  }
+  publish(arrival, answer, stopwatch.cpuSeconds());
+  if (request)
+  {
+    finish(*request, image, pixels ? pixels->image : cv::Mat(), answer);
+  }
+}
+
+void HyperplaneTrackerRos::publish(const Arrival& arrival, const ViewAnswer& answer, double cpu_seconds)
+{
   const auto result = boost::make_shared<TrackedRegion>();
   result->header = arrival.image->header;
-  result->model = static_cast<std::uint8_t>(parameters_.tracker.model);
-  result->linear = kIdentity;
-  const std::string fault = answer(arrival.image, *result);
-  result->cpu_time = ros::Duration(stopwatch.cpuSeconds());
+  result->state = static_cast<std::uint8_t>(answer.state);
+  result->fault = answer.fault;
+  result->model = static_cast<std::uint8_t>(answer.model);
+  result->region = regionMsgFromRect(answer.region);
+  result->reference_stamp = timeFromNanoseconds(answer.reference_stamp_ns);
+  setMotion(answer, *result);
+  result->cpu_time = ros::Duration(cpu_seconds);
   result->wall_time = ros::Duration((ros::SteadyTime::now() - arrival.time).toSec());
   region_publisher_.publish(result);
-  tell(*result, fault);
+  tell(*result, answer.error ? answer.fault : std::string());
   publishOverlay(arrival.image, *result);
 }
 
-void HyperplaneTrackerRos::tell(const TrackedRegion& result, const std::string& fault)
+void HyperplaneTrackerRos::finish(TrainingRequest& request, const sensor_msgs::ImageConstPtr& image,
+                                  const cv::Mat& pixels, const ViewAnswer& answer)
 {
-  if (fault != logged_fault_ && !fault.empty())
+  std::string fault = answer.fault;
+  if (tracker_)
   {
-    ROS_ERROR_STREAM(pnh_.getNamespace() << ", exposure of " << result.header.stamp << ": " << fault);
+    showState(TrackedRegion::TRAINING);
+    fault = pixels.empty() ? answer.fault : tracker_->learn(pixels);
+    noteReference(image);
+    showState(static_cast<std::uint8_t>(answer.state));
   }
-  logged_fault_ = fault;
+  request.response.set_value(
+      fault.empty() ? TrainingMailbox::makeResponse(
+                          TrainRegion::Response::OK,
+                          successOf(request.training, tracker_ && tracker_->trained(), image->header.stamp))
+                    : TrainingMailbox::makeResponse(TrainRegion::Response::INVALID_REGION, fault));
+}
+
+void HyperplaneTrackerRos::noteReference(const sensor_msgs::ImageConstPtr& image)
+{
+  training_end_ = ros::SteadyTime::now();
+  if (!tracker_->trained())
+  {
+    reference_.reset();
+    return;
+  }
+  if (reference_ && nanosecondsFromTime(reference_->header.stamp) == tracker_->referenceStamp())
+  {
+    return;
+  }
+  reference_ = image;
+  const cv::Rect inside = tracker_->region();
+  if (inside != tracker_->wantedRegion())
+  {
+    ROS_WARN_STREAM(pnh_.getNamespace() << " tracks " << inside.width << " x " << inside.height << " at (" << inside.x
+                                        << ", " << inside.y << "), the part of its region inside the X-ray field");
+  }
+}
+
+void HyperplaneTrackerRos::showState(std::uint8_t state)
+{
+  const std::lock_guard<std::mutex> lock(snapshot_mutex_);
+  snapshot_.state = state;
+}
+
+void HyperplaneTrackerRos::tell(const TrackedRegion& result, const std::string& error)
+{
+  if (error != logged_error_ && !error.empty())
+  {
+    ROS_ERROR_STREAM(pnh_.getNamespace() << ", exposure of " << result.header.stamp << ": " << error);
+  }
+  logged_error_ = error;
   if (result.state != logged_state_)
   {
     ROS_INFO_STREAM(pnh_.getNamespace() << " is " << stateName(result.state) << " (correlation " << result.correlation
@@ -258,209 +331,13 @@ void HyperplaneTrackerRos::tell(const TrackedRegion& result, const std::string& 
   }
   const std::lock_guard<std::mutex> lock(snapshot_mutex_);
   snapshot_.state = result.state;
-  snapshot_.fault = fault;
+  snapshot_.fault = error;
   snapshot_.correlation = result.correlation;
   snapshot_.quality = result.quality;
   snapshot_.cpu_ms = 1e3 * result.cpu_time.toSec();
   snapshot_.wall_ms = 1e3 * result.wall_time.toSec();
   snapshot_.longest_wall_ms = std::max(snapshot_.longest_wall_ms, snapshot_.wall_ms);
   ++snapshot_.exposures;
-}
-
-std::string HyperplaneTrackerRos::answer(const sensor_msgs::ImageConstPtr& image, TrackedRegion& result)
-{
-  const std::shared_ptr<TrainingRequest> request = requests_.take();
-  std::string fault = configuration_fault_;
-  std::optional<TrainRegion::Response> outcome;
-  try
-  {
-    if (tracker_)
-    {
-      const cv_bridge::CvImageConstPtr pixels = pixelsOf(image);
-      result.fault = check_->look(pixels->image, static_cast<std::int64_t>(image->header.stamp.toNSec()));
-      if (!result.fault.empty())
-      {
-        // Neither a template nor a loss: the next one that shows something goes on from the last one that did.
-        result.state = TrackedRegion::BLIND;
-      }
-      else
-      {
-        fault = answerUsable(pixels->image, image, request.get(), result, outcome);
-      }
-    }
-  }
-  catch (const std::exception& error)
-  {
-    fault = error.what();
-  }
-  if (!fault.empty())
-  {
-    result.fault = fault;
-  }
-  if (request)
-  {
-    request->response.set_value(
-        outcome ? *outcome : TrainingMailbox::makeResponse(TrainRegion::Response::INVALID_REGION, result.fault));
-  }
-  if (tracker_ && tracker_->trained())
-  {
-    result.region = regionMsgFromRect(tracker_->region());
-    result.reference_stamp = reference_->header.stamp;
-    if (!isFound(result.state) && result.state != TrackedRegion::BLIND)
-    {
-      result.state = TrackedRegion::LOST;
-    }
-  }
-  return fault;
-}
-
-std::string HyperplaneTrackerRos::answerUsable(const cv::Mat& pixels, const sensor_msgs::ImageConstPtr& image,
-                                               const TrainingRequest* request, TrackedRegion& result,
-                                               std::optional<TrainRegion::Response>& outcome)
-{
-  std::string fault;
-  if (request && request->region)
-  {
-    outcome = serveTraining(*request->region, pixels, image);
-  }
-  if (!tracker_->trained() && region_)
-  {
-    fault = train(pixels, *region_, image);
-  }
-  if (tracker_->trained())
-  {
-    track(pixels, result);
-    if (image == reference_)
-    {
-      // There it is by definition; what the tracker says is the image's noise.
-      result.displacement_x = result.displacement_y = 0.0;
-      result.linear = kIdentity;
-    }
-  }
-  if (request && !request->region)
-  {
-    outcome = serveRetraining(check_->repaired(pixels), result);
-  }
-  return fault;
-}
-
-HyperplaneTrackerRos::TrainRegion::Response HyperplaneTrackerRos::serveTraining(const cv::Rect& region,
-                                                                                const cv::Mat& pixels,
-                                                                                const sensor_msgs::ImageConstPtr& image)
-{
-  const std::string fault = train(pixels, region, image);
-  if (!fault.empty())
-  {
-    return TrainingMailbox::makeResponse(TrainRegion::Response::INVALID_REGION, fault);
-  }
-  region_ = region;
-  return TrainingMailbox::makeResponse(TrainRegion::Response::OK,
-                                       "trained on the exposure of " + std::to_string(image->header.stamp.toSec()));
-}
-
-HyperplaneTrackerRos::TrainRegion::Response HyperplaneTrackerRos::serveRetraining(const cv::Mat& pixels,
-                                                                                  const TrackedRegion& result)
-{
-  const auto refuse = [](const std::string& why)
-  { return TrainingMailbox::makeResponse(TrainRegion::Response::INVALID_REGION, why); };
-  if (hyperplane_ == nullptr)
-  {
-    return refuse("the method does not learn from more than the first exposure");
-  }
-  if (result.state != TrackedRegion::TRACKING)
-  {
-    return refuse(std::string("the region is ") + stateName(result.state) + " in the exposure of " +
-                  std::to_string(result.header.stamp.toSec()) + ", expected tracking");
-  }
-  if (!hyperplane_->retrain(pixels))
-  {
-    return refuse("the region was not found");
-  }
-  training_end_ = ros::SteadyTime::now();
-  return TrainingMailbox::makeResponse(
-      TrainRegion::Response::OK, "learnt again from the exposure of " + std::to_string(result.header.stamp.toSec()));
-}
-
-std::string HyperplaneTrackerRos::train(const cv::Mat& pixels, const cv::Rect& region,
-                                        const sensor_msgs::ImageConstPtr& image)
-{
-  {
-    const std::lock_guard<std::mutex> lock(snapshot_mutex_);
-    snapshot_.state = TrackedRegion::TRAINING;
-  }
-  std::string fault;
-  try
-  {
-    const cv::Rect inside = check_->learn(pixels, region);
-    if (inside != region)
-    {
-      ROS_WARN_STREAM(pnh_.getNamespace() << " tracks " << inside.width << " x " << inside.height << " at (" << inside.x
-                                          << ", " << inside.y << "), the part of its region inside the X-ray field");
-    }
-    tracker_->train(check_->repaired(pixels), inside);
-    reference_ = image;
-  }
-  catch (const std::invalid_argument& error)
-  {
-    fault = error.what();
-  }
-  training_end_ = ros::SteadyTime::now();
-  return fault;
-}
-
-void HyperplaneTrackerRos::track(const cv::Mat& pixels, TrackedRegion& result)
-{
-  const double outside = check_->outside(tracker_->lastPlace());
-  const bool covered = outside > kMostOutside;
-  if (covered)
-  {
-    result.state = TrackedRegion::BLIND;
-    result.fault = "of the region " + std::to_string(std::lround(100.0 * outside)) +
-                   " % are outside the field (collimator blades, the image's rim)";
-    // What was lost before may be elsewhere.
-    if (!tracker_->lost())
-    {
-      return;
-    }
-  }
-  const cv::Mat& repaired = check_->repaired(pixels);
-  if (const std::string& mixed = check_->mixed(repaired, tracker_->lastPlace()); !mixed.empty())
-  {
-    result.state = TrackedRegion::BLIND;
-    result.fault = mixed;
-    return;
-  }
-  TrackResult track = tracker_->track(repaired);
-  if (!track.found() && isFound(logged_state_) && check_->learnStuck(pixels))
-  {
-    track = tracker_->track(check_->repaired(pixels));
-  }
-  if (parameters_.model_by_data && !tellsRotation(track))
-  {
-    track = withoutLinearPart(track);
-    result.model = TrackedRegion::TRANSLATION;
-  }
-  result.correlation = finiteOrZero(track.correlation);
-  result.quality = finiteOrZero(track.quality);
-  result.iterations = static_cast<std::uint32_t>(track.iterations);
-  // Nor is it found where there is nothing to be seen.
-  const bool in_field = !covered || check_->outside(tracker_->lastPlace()) <= kMostOutside;
-  if (in_field && track.found() && track.displacement.allFinite() && track.linear.allFinite() &&
-      track.covariance.allFinite())
-  {
-    result.state = track.status == TrackResult::Status::TRACKED ? TrackedRegion::TRACKING : TrackedRegion::DEGRADED;
-    result.displacement_x = track.displacement.x();
-    result.displacement_y = track.displacement.y();
-    Eigen::Map<Eigen::Matrix<double, 2, 2, Eigen::RowMajor>>(result.linear.data()) = track.linear;
-    Eigen::Map<Eigen::Matrix<double, 6, 6, Eigen::RowMajor>>(result.covariance.data()) =
-        0.5 * (track.covariance + track.covariance.transpose());  // rounding is not symmetric
-    result.fault.clear();
-  }
-  else if (!covered)
-  {
-    result.state = TrackedRegion::LOST;
-    result.fault = lossName(track.status);
-  }
 }
 
 void HyperplaneTrackerRos::publishOverlay(const sensor_msgs::ImageConstPtr& image, const TrackedRegion& result)
@@ -477,7 +354,7 @@ void HyperplaneTrackerRos::publishOverlay(const sensor_msgs::ImageConstPtr& imag
     overlay.colour = stateColour(result.state);
     if (isFound(result.state))
     {
-      overlay.found = tracker_->result();
+      overlay.found = tracker_->lastTrack();
       if (parameters_.overlay_points)
       {
         overlay.points =

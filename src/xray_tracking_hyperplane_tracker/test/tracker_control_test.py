@@ -4,8 +4,9 @@
 import rospy
 import rostest
 from dynamic_reconfigure.client import Client
+from sensor_msgs.msg import RegionOfInterest
 from std_srvs.srv import Trigger
-from tracker_test_case import PATIENCE, REGION, TOLERANCE, TrackerTestCase, exposure, turned
+from tracker_test_case import PATIENCE, REGION, TOLERANCE, TrackerTestCase, equals, exposure, turned
 from xray_tracking_msgs.msg import TrackedRegion
 from xray_tracking_msgs.srv import TrainRegion, TrainRegionResponse
 
@@ -109,25 +110,77 @@ class TrackerControlTest(TrackerTestCase):
         stamp, answer = self.show(detector, exposure(1.0, 1.0, seed=3))
         self.judge(answer, stamp, reference, (1.0, 1.0))
 
-    def test_reset_makes_the_next_exposure_the_first(self):
-        detector = self.connect("parameter_region")
-        self.restart(detector)
-        reset = rospy.ServiceProxy("parameter_region/reset", Trigger)
-        self.assertTrue(reset().success)
-        reference, answer = self.show(detector, exposure(5.0, 5.0))
-        self.judge(answer, reference, reference, (0.0, 0.0))
-        stamp, answer = self.show(detector, exposure(7.0, 4.0, seed=1))
-        self.judge(answer, stamp, reference, (2.0, -1.0))
+    def judge_switch(self, answers, old):
+        """Of exposures in a row: all tracked, up to the one that a new template is learnt on by the old one.
+        @param old its reference stamp. @return the new reference stamp"""
+        self.assertTrue(all(answer.state == TrackedRegion.TRACKING for answer in answers),
+                        [(answer.state, answer.fault) for answer in answers])
+        references = [answer.reference_stamp.to_sec() for answer in answers]
+        self.assertEqual(references[0], old)
+        new = references.index(references[-1])
+        self.assertEqual(references, [old] * new + [references[-1]] * (len(answers) - new))
+        self.assertEqual(references[-1], answers[new - 1].header.stamp.to_sec())
+        return references[-1]
 
-        # A region from the service is forgotten, too.
+    def test_templates_change_without_a_missing_answer(self):
+        detector = self.connect("parameter_region")
+        old = self.restart(detector)
+        train = rospy.ServiceProxy("parameter_region/train_region", TrainRegion)
+        other = RegionOfInterest(x_offset=90, y_offset=60, width=80, height=80)
+        still = lambda: exposure(5.0, 5.0)
+        # From where the region is, then of another one, then all anew.
+        for call, region in (((train, REGION), REGION), ((train, other), other),
+                             ((rospy.ServiceProxy("parameter_region/reset", Trigger),), REGION)):
+            self.show(detector, still())
+            response, answers = self.call_among_exposures(detector, still, *call)
+            self.assertTrue(response.success if hasattr(response, "success") else
+                            response.status == TrainRegionResponse.OK, response)
+            stamp, answer = self.show(detector, exposure(7.0, 4.0, seed=1))
+            answers.append(answer)
+            old = self.judge_switch(answers, old)
+            self.assertIn("%.3f" % old, response.message)
+            self.assertTrue(equals(answer.region, region))
+            self.assertAlmostEqual(answer.displacement_x, 2.0, delta=TOLERANCE)
+            self.assertAlmostEqual(answer.displacement_y, -1.0, delta=TOLERANCE)
+
+        # What is refused changes nothing.
+        outside = RegionOfInterest(x_offset=200, y_offset=55, width=100, height=90)
+        response, answers = self.call_among_exposures(detector, still, train, outside)
+        self.assertEqual(response.status, TrainRegionResponse.INVALID_REGION)
+        self.assertIn("100 x 90 at (200, 55)", response.message)
+        answers.append(self.show(detector, still())[1])
+        self.assertEqual([(answer.state, answer.reference_stamp.to_sec()) for answer in answers],
+                         [(TrackedRegion.TRACKING, old)] * len(answers))
+
+    def test_learns_after_the_answer(self):
+        detector = self.connect("slow_training")
+        old = self.restart(detector)
+        responses = self.call(rospy.ServiceProxy("slow_training/train_region", TrainRegion), REGION)
+        answers = []
+        while responses.empty():
+            answers.append(self.show(detector, exposure(1.0, 1.0, seed=len(answers)))[1])
+            rospy.sleep(0.05)
+        self.assertEqual(responses.get().status, TrainRegionResponse.OK)
+        answers.append(self.show(detector, exposure(1.0, 1.0, seed=99))[1])
+        new = self.judge_switch(answers, old)
+        # The answer of the exposure that was learnt on took no longer than others; the next one's had to wait.
+        learnt_on = next(k for k, answer in enumerate(answers) if answer.header.stamp.to_sec() == new)
+        training = answers[learnt_on + 1].wall_time.to_sec()
+        self.assertGreater(training, 5.0 * answers[learnt_on].wall_time.to_sec())
+
+    def test_reset_forgets_a_region_from_the_service(self):
         detector = self.connect("service_region")
         train = rospy.ServiceProxy("service_region/train_region", TrainRegion)
         response, _ = self.call_among_exposures(detector, exposure, train, REGION)
         self.assertEqual(response.status, TrainRegionResponse.OK, response.message)
         _, answer = self.show(detector, exposure(1.0, 1.0, seed=1))
         self.assertEqual(answer.state, TrackedRegion.TRACKING)
-        self.assertTrue(rospy.ServiceProxy("service_region/reset", Trigger)().success)
-        stamp, answer = self.show(detector, exposure(1.0, 1.0, seed=2))
+        reset = rospy.ServiceProxy("service_region/reset", Trigger)
+        response, answers = self.call_among_exposures(detector, lambda: exposure(1.0, 1.0, seed=2), reset)
+        self.assertTrue(response.success, response.message)
+        self.assertIn("no region", response.message)
+        self.assertEqual(answers[0].state, TrackedRegion.TRACKING)
+        stamp, answer = self.show(detector, exposure(1.0, 1.0, seed=3))
         self.assert_untrained(answer, stamp)
 
     def test_retraining_keeps_the_anchor(self):
@@ -153,10 +206,11 @@ class TrackerControlTest(TrackerTestCase):
             stamp, answer = self.show(detector, exposure())
             self.assert_untrained(answer, stamp)
             self.expect_diagnosis(name, *parts)
-            self.assertTrue(rospy.ServiceProxy(name + "/reset", Trigger)().success)
-            outcome, _ = self.call_among_exposures(detector, exposure, rospy.ServiceProxy(name + "/retrain", Trigger))
-            self.assertFalse(outcome.success)
-            self.assertIn(parts[0], outcome.message)
+            for service in ("reset", "retrain"):
+                outcome, _ = self.call_among_exposures(detector, exposure,
+                                                       rospy.ServiceProxy(name + "/" + service, Trigger))
+                self.assertFalse(outcome.success)
+                self.assertIn(parts[0], outcome.message)
 
 
 if __name__ == "__main__":

@@ -48,26 +48,51 @@ void readBound(const char* key, double value, double millimetres_per_unit, doubl
     bound = value * millimetres_per_unit;
   }
 }
-RegistrationView viewOf(const ProjectionGeometry& detector, const sensor_msgs::ImageConstPtr& image,
-                        const sensor_msgs::CameraInfo& info, const tf2_ros::Buffer& tf_buffer)
+
+RegistrationView viewOf(const ProjectionGeometry& detector, const StoredView& view, const tf2_ros::Buffer& tf_buffer)
 {
-  if (image->encoding != encodings::MONO16 && image->encoding != encodings::MONO8)
+  const UsableImage& image = *view.image;
+  const sensor_msgs::CameraInfo& info = *view.camera_info;
+  if (!image.fault.empty())
   {
-    throw std::invalid_argument("image.encoding is '" + image->encoding + "', expected mono16 or mono8");
+    throw std::invalid_argument(image.fault);
   }
-  if (image->width != info.width || image->height != info.height)
+  if (static_cast<std::uint32_t>(image.image.cols) != info.width ||
+      static_cast<std::uint32_t>(image.image.rows) != info.height)
   {
-    throw std::invalid_argument("the image is " + std::to_string(image->width) + " x " + std::to_string(image->height) +
-                                ", expected camera_info's " + std::to_string(info.width) + " x " +
-                                std::to_string(info.height));
+    throw std::invalid_argument("the image is " + std::to_string(image.image.cols) + " x " +
+                                std::to_string(image.image.rows) + ", expected camera_info's " +
+                                std::to_string(info.width) + " x " + std::to_string(info.height));
   }
   const RigidTransform room_from_optical =
       rigidFromTransformMsg(tf_buffer.lookupTransform(kRoomFrame, info.header.frame_id, ros::Time(0)).transform);
-  // Pixels are shared with the message where they can be, which outlives the view.
-  return { geometryFromCameraInfo(detector.name(), info, room_from_optical, detector.sourceToDetector()),
-           cv_bridge::toCvShare(image)->image };
+  RegistrationView result{
+    geometryFromCameraInfo(detector.name(), info, room_from_optical, detector.sourceToDetector()), image.image
+  };
+  result.usable = image.usable;
+  return result;
 }
 }  // namespace
+
+UsableImage usableImageOf(const sensor_msgs::ImageConstPtr& image, const IntensityModel& intensity,
+                          DetectorPixels& detector)
+{
+  UsableImage seen;
+  if (image->encoding != encodings::MONO16 && image->encoding != encodings::MONO8)
+  {
+    seen.fault = "image.encoding is '" + image->encoding + "', expected mono16 or mono8";
+    return seen;
+  }
+  try
+  {
+    seen = detector.look(cv_bridge::toCvShare(image)->image, intensity, nanosecondsFromTime(image->header.stamp));
+  }
+  catch (const std::exception& error)  // cv_bridge's
+  {
+    seen.fault = error.what();
+  }
+  return seen;
+}
 
 std::vector<RegistrationView> viewsOf(const StoredExposure& exposure, const TreatmentSetup& setup,
                                       const tf2_ros::Buffer& tf_buffer)
@@ -77,9 +102,9 @@ std::vector<RegistrationView> viewsOf(const StoredExposure& exposure, const Trea
   {
     try
     {
-      views.push_back(viewOf(setup.detectors[i], exposure.images[i], *exposure.camera_infos[i], tf_buffer));
+      views.push_back(viewOf(setup.detectors[i], exposure[i], tf_buffer));
     }
-    catch (const std::exception& error)  // tf2's and cv_bridge's too
+    catch (const std::exception& error)  // tf2's too
     {
       throw std::invalid_argument(setup.detectors[i].name() + ": " + error.what());
     }
@@ -130,11 +155,14 @@ StoredExposure exposureOf(const RefinementRequest& message, const TreatmentSetup
                 expected);
   requireOption(message.camera_infos.size() == setup.detectors.size(), "the number of camera_infos",
                 message.camera_infos.size(), expected);
-  StoredExposure exposure;
+  StoredExposure exposure(message.images.size());
   for (std::size_t i = 0; i < message.images.size(); ++i)
   {
-    exposure.images.push_back(boost::make_shared<sensor_msgs::Image>(message.images[i]));
-    exposure.camera_infos.push_back(boost::make_shared<sensor_msgs::CameraInfo>(message.camera_infos[i]));
+    // They have nothing to do with what the detectors send.
+    DetectorPixels own;
+    exposure[i].pixels = boost::make_shared<sensor_msgs::Image>(message.images[i]);
+    exposure[i].image = usableImageOf(exposure[i].pixels, setup.intensity, own);
+    exposure[i].camera_info = boost::make_shared<sensor_msgs::CameraInfo>(message.camera_infos[i]);
   }
   return exposure;
 }

@@ -16,10 +16,6 @@ namespace
 template <typename T>
 using Names = std::vector<std::pair<std::string, T>>;
 
-const Names<RefinementMethod> kMethods = { { "tracking", RefinementMethod::TRACKING },
-                                           { "registration", RefinementMethod::REGISTRATION },
-                                           { "tracking_and_registration",
-                                             RefinementMethod::TRACKING_AND_REGISTRATION } };
 const Names<RestMotion> kRestMotions = { { "estimated", RestMotion::ESTIMATED }, { "held", RestMotion::HELD } };
 const Names<Optimiser> kOptimisers = { { "gauss_newton", Optimiser::GAUSS_NEWTON },
                                        { "bobyqa", Optimiser::BOBYQA },
@@ -73,16 +69,10 @@ void readMetres(ParameterReader& reader, const std::string& key, double& millime
 }
 }  // namespace
 
-std::string methodName(RefinementMethod method)
-{
-  return nameOf(kMethods, method);
-}
-
 RegistrationParameters readRegistrationParameters(const ros::NodeHandle& pnh)
 {
   RegistrationParameters parameters;
   ParameterReader reader(pnh);
-  readNamed(reader, "method", kMethods, parameters.method);
   read(reader, "setup_file", parameters.setup_file);
   read(reader, "source", parameters.source);
   requireOneOf("source", parameters.source, "phantom", "ct");

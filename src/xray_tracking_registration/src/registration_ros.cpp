@@ -16,11 +16,6 @@ namespace
 constexpr std::uint32_t kThreads = 4;
 /// Slices as thin as the pixels.
 const PhantomCtOptions kPhantomCt{ { 200, 200, 200 }, { 1.0, 1.0, 1.0 }, 1.0 };
-/// Of a start from the last believed pose: half of what the vertebrae of a neck are apart [mm].
-constexpr double kSameVertebra = 9.0;
-constexpr double kShortly = 5.0;  // after a believed pose, nobody has been set up anew [s]
-constexpr const char* kStopping = "the node is shutting down";
-
 }  // namespace
 
 RegistrationRos::RegistrationRos(const ros::NodeHandle& nh, const ros::NodeHandle& pnh)
@@ -49,7 +44,7 @@ RegistrationRos::RegistrationRos(const ros::NodeHandle& nh, const ros::NodeHandl
       nh_.createSteadyTimer(ros::WallDuration(1.0), [this](const ros::SteadyTimerEvent&) { updater_.force_update(); });
   spinner_ = std::make_unique<ros::AsyncSpinner>(kThreads, &queue_);
   spinner_->start();
-  worker_ = std::thread([this] { work(); });
+  worker_ = std::thread([this] { workOnGoals(); });
   loader_ = std::thread([this] { start(); });
 }
 
@@ -84,7 +79,7 @@ void RegistrationRos::start()
     loading_ = false;
     return;
   }
-  accepted_pose_ = setup_.room_from_patient;
+  sequence_.emplace(setup_.targetCentre());
   const std::string fault = load(parameters_.source == "ct" ? setup_.ct_path : "");
   ROS_ERROR_STREAM_COND(!fault.empty(), "no registration: " << fault);
   subscribe();
@@ -92,16 +87,18 @@ void RegistrationRos::start()
 
 template <typename Message>
 void RegistrationRos::subscribeTo(const std::string& topic,
-                                  std::function<void(const boost::shared_ptr<Message const>&)> store)
+                                  std::function<void(const boost::shared_ptr<Message const>&)> handle)
 {
+  // roscpp links publisher and subscriber of one process twice if both come up at the same time.
   const boost::function<void(const boost::shared_ptr<Message const>&)> callback =
-      [this, store = std::move(store)](const boost::shared_ptr<Message const>& message)
+      [handle = std::move(handle),
+       last = boost::weak_ptr<Message const>()](const boost::shared_ptr<Message const>& message) mutable
   {
+    if (last.lock() != message)
     {
-      const std::lock_guard<std::mutex> lock(mutex_);
-      store(message);
+      last = message;
+      handle(message);
     }
-    wake_.notify_one();
   };
   subscribers_.push_back(nh_.subscribe<Message>(topic, static_cast<std::uint32_t>(parameters_.queue_size), callback,
                                                 nullptr, ros::TransportHints().tcpNoDelay()));
@@ -114,18 +111,73 @@ void RegistrationRos::subscribe()
   {
     names.push_back(geometry.name());
   }
+  intakes_.resize(names.size());
   {
     const std::lock_guard<std::mutex> lock(mutex_);
-    store_.emplace(names, static_cast<std::size_t>(parameters_.queue_size),
-                   parameters_.method == RefinementMethod::REGISTRATION);
+    store_.emplace(names, static_cast<std::size_t>(parameters_.queue_size));
   }
   for (std::size_t i = 0; i < names.size(); ++i)
   {
     subscribeTo<sensor_msgs::CameraInfo>(names[i] + "/camera_info",
-                                         [this, i](const auto& message) { store_->addCameraInfo(i, message); });
-    subscribeTo<sensor_msgs::Image>(names[i] + "/image_raw",
-                                    [this, i](const auto& message) { store_->addImage(i, message); });
+                                         [this, i](const auto& message) { takeCameraInfo(i, message); });
+    subscribeTo<sensor_msgs::Image>(names[i] + "/image_raw", [this, i](const auto& message) { takeImage(i, message); });
   }
+}
+
+void RegistrationRos::warnOfDropped(const std::string& why) const
+{
+  ROS_WARN_STREAM_THROTTLE(1.0, pnh_.getNamespace() << " drops a message: " << why);
+}
+
+void RegistrationRos::takeCameraInfo(std::size_t detector, const sensor_msgs::CameraInfoConstPtr& camera_info)
+{
+  const std::int64_t stamp_ns = nanosecondsFromTime(camera_info->header.stamp);
+  std::string dropped;
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    dropped = store_->takeCameraInfo(detector, stamp_ns, nanosecondsFromTime(ros::Time::now()));
+    if (dropped.empty())
+    {
+      store_->keepCameraInfo(detector, stamp_ns, camera_info);
+    }
+  }
+  if (!dropped.empty())
+  {
+    warnOfDropped(dropped);
+    return;
+  }
+  wake_.notify_all();
+}
+
+void RegistrationRos::takeImage(std::size_t detector, const sensor_msgs::ImageConstPtr& image)
+{
+  const std::int64_t stamp_ns = nanosecondsFromTime(image->header.stamp);
+  std::string dropped;
+  std::size_t run = 0;
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    dropped = store_->takeImage(detector, stamp_ns, nanosecondsFromTime(ros::Time::now()));
+    run = store_->run();
+  }
+  if (!dropped.empty())
+  {
+    warnOfDropped(dropped);
+    return;
+  }
+  Intake& intake = intakes_[detector];
+  if (intake.run != run)
+  {
+    intake.pixels.reset();
+    intake.run = run;
+  }
+  // Here, while the exposure is tracked, and not when somebody waits for an answer.
+  UsableImage seen = usableImageOf(image, setup_.intensity, intake.pixels);
+  const bool own = seen.image.data != image->data.data();
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    store_->keepImage(detector, stamp_ns, run, std::move(seen), own ? nullptr : image);
+  }
+  wake_.notify_all();
 }
 
 std::string RegistrationRos::load(const std::string& ct_path)
@@ -147,7 +199,6 @@ std::string RegistrationRos::load(const std::string& ct_path)
     if (registration)
     {
       registration_ = registration;
-      volume_is_new_ = true;
       volume_state_ = what;
     }
     else if (!registration_)
@@ -184,169 +235,5 @@ std::shared_ptr<const Registration> RegistrationRos::makeRegistration(const std:
     }
   }
   return std::make_shared<const Registration>(bodiesOf(ct, mask), setup_.target_box, parameters_.options);
-}
-
-void RegistrationRos::work()
-{
-  const bool by_itself = parameters_.method == RefinementMethod::REGISTRATION;
-  std::unique_lock<std::mutex> lock(mutex_);
-  while (!stop_)
-  {
-    noteRestart();
-    if (job_)
-    {
-      job_->running = true;
-      cancel_ = false;
-      lock.unlock();
-      answerJob();
-      lock.lock();
-      continue;
-    }
-    std::optional<ExposureStore::Due> due;
-    // Exposures wait for the first volume.
-    if (by_itself && store_ && (registration_ || !loading_))
-    {
-      due = store_->next();
-    }
-    if (!due)
-    {
-      wake_.wait(lock);
-      continue;
-    }
-    lock.unlock();
-    answerExposure(*due);
-    lock.lock();
-  }
-  if (job_)
-  {
-    const auto answer = std::exchange(job_, std::nullopt)->answer;
-    lock.unlock();
-    answer(resultMessage(RefinementResult::CANCELLED, kStopping));
-  }
-}
-
-void RegistrationRos::answerExposure(const ExposureStore::Due& due)
-{
-  const ProcessorClock clock;
-  const RefinementResult result = refineExposure(due);
-  if (stop_)
-  {
-    return;
-  }
-  publishRefined(due.stamp, result, clock.seconds(), due.exposure.last_arrival);
-  const std::lock_guard<std::mutex> lock(mutex_);
-  last_result_ = result;
-}
-
-void RegistrationRos::publishRefined(const ros::Time& stamp, const RefinementResult& result, double cpu_seconds,
-                                     const ros::SteadyTime& arrival)
-{
-  xray_tracking_msgs::RefinedPose refined;
-  refined.header.stamp = last_refined_ = stamp;
-  refined.header.frame_id = kRoomFrame;
-  refined.method = methodName(parameters_.method);
-  refined.result = result;
-  refined.cpu_time = ros::Duration(cpu_seconds);
-  refined.wall_time = ros::Duration((ros::SteadyTime::now() - arrival).toSec());
-  refined_pose_publisher_.publish(refined);
-  const bool success = result.status == RefinementResult::SUCCESS;
-  ROS_WARN_STREAM_COND(!success, "the exposure at " << stamp << " is not refined: " << result.reason);
-  const std::lock_guard<std::mutex> lock(mutex_);
-  ++exposures_;
-  refined_ += success ? 1 : 0;
-}
-
-void RegistrationRos::noteRestart()
-{
-  if (store_ && store_->takeRestart())
-  {
-    ROS_WARN_STREAM("exposures start again: forgetting the earlier ones");
-    accepted_pose_ = setup_.room_from_patient;
-    target_from_rest_ = RigidTransform::Identity();
-    believed_pose_.reset();
-    usable_pixels_.reset();
-    last_refined_ = ros::Time();
-  }
-}
-
-RegistrationRos::RefinementResult RegistrationRos::refineExposure(const ExposureStore::Due& due)
-{
-  if (!due.missing.empty())
-  {
-    return resultMessage(RefinementResult::NO_EXPOSURE, due.missing);
-  }
-  const std::shared_ptr<const Registration> registration = currentRegistration();
-  if (!registration)
-  {
-    const std::lock_guard<std::mutex> lock(mutex_);
-    return resultMessage(RefinementResult::NO_VOLUME, volume_state_);
-  }
-  try
-  {
-    RegistrationRequest request =
-        requestFor(due.exposure, Search::NEAR, usable_pixels_, [this](const RegistrationProgress&) { return !stop_; });
-    request.room_from_patient = accepted_pose_;
-    const RefinementResult result = run(*registration, request, due.stamp, false);
-    if (result.status == RefinementResult::SUCCESS)
-    {
-      accepted_pose_ = rigidFromPoseMsg(result.pose.pose);
-    }
-    return result;
-  }
-  catch (const std::exception& error)
-  {
-    return resultMessage(RefinementResult::INVALID, error.what());
-  }
-}
-
-std::shared_ptr<const Registration> RegistrationRos::currentRegistration()
-{
-  const std::lock_guard<std::mutex> lock(mutex_);
-  if (std::exchange(volume_is_new_, false))
-  {
-    target_from_rest_ = RigidTransform::Identity();
-    believed_pose_.reset();
-  }
-  return registration_;
-}
-
-RegistrationRequest RegistrationRos::requestFor(const StoredExposure& exposure, Search search, UsablePixels& usable,
-                                                const Progress& progress) const
-{
-  RegistrationRequest request;
-  request.views = viewsOf(exposure, setup_, tf_buffer_);
-  request.intensity = setup_.intensity;
-  usable.apply(static_cast<std::int64_t>(exposure.images.front()->header.stamp.toNSec()), request);
-  request.target_from_rest = target_from_rest_;
-  const bool wide = search == Search::WIDE;
-  request.search = search;
-  request.max_translation_mm = wide ? parameters_.search_max_translation_mm : parameters_.max_translation_mm;
-  request.max_rotation_rad = wide ? parameters_.search_max_rotation_rad : parameters_.max_rotation_rad;
-  request.time_budget = std::chrono::duration<double>(parameters_.time_budget_s);
-  request.progress = progress;
-  return request;
-}
-
-RegistrationRos::RefinementResult RegistrationRos::run(const Registration& registration, RegistrationRequest request,
-                                                       const std::optional<ros::Time>& stamp, bool unverified)
-{
-  const Eigen::Vector3d centre = setup_.targetCentre();
-  if (stamp && believed_pose_ && !unverified)
-  {
-    // As doubles: what lies too far apart for a ros::Duration is to be no error.
-    const double since = stamp->toSec() - believed_pose_->stamp.toSec();
-    const double moved = (request.room_from_patient * centre - believed_pose_->room_from_patient * centre).norm();
-    request.start_verified = since >= 0.0 && since <= kShortly && moved < kSameVertebra;
-  }
-  const RegistrationResult result = registration.run(request);
-  if (result.status == RegistrationStatus::SUCCESS)
-  {
-    target_from_rest_ = result.target_from_rest;
-    if (stamp)
-    {
-      believed_pose_ = BelievedPose{ result.room_from_patient, *stamp };
-    }
-  }
-  return resultMessage(result, setup_.targetCentre());
 }
 }  // namespace xray_tracking

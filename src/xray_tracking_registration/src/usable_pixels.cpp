@@ -1,6 +1,7 @@
 #include "xray_tracking_registration/usable_pixels.h"
 
 #include <algorithm>
+#include <exception>
 #include <optional>
 #include <stdexcept>
 
@@ -14,48 +15,69 @@ namespace
 constexpr int kLooked = 256;  // edge of what is looked at for mixed rows [px]
 }  // namespace
 
+UsableImage DetectorPixels::look(const cv::Mat& image, const IntensityModel& intensity, std::int64_t stamp_ns)
+{
+  UsableImage seen;
+  seen.image = image;
+  try
+  {
+    seen.fault = examine(image, intensity, stamp_ns, seen);
+  }
+  catch (const std::exception& error)
+  {
+    seen.fault = error.what();
+  }
+  return seen;
+}
+
+std::string DetectorPixels::examine(const cv::Mat& image, const IntensityModel& intensity, std::int64_t stamp_ns,
+                                    UsableImage& seen)
+{
+  field_.update(image, intensity);
+  if (!field_.nothing().empty())
+  {
+    return field_.nothing();
+  }
+  const std::optional<std::int64_t> before = repeated_.add(image, stamp_ns);
+  if (before && *before < stamp_ns)
+  {
+    return message("the image, or a good part of its rows, is bit for bit that of ",
+                   1e-9 * static_cast<double>(stamp_ns - *before), " s before");
+  }
+  if (inspected_ != image.size())
+  {
+    repair_.add(ImageInspector().inspect(image, intensity), image.size());
+    inspected_ = image.size();
+  }
+  const cv::Rect whole(cv::Point(), image.size());
+  if (field_.outside(whole) > 0.0)
+  {
+    cv::Mat outside = cv::Mat::zeros(image.size(), CV_8UC1);
+    field_.mark(whole, 1, outside);
+    seen.usable = outside == 0;
+  }
+  if (!repair_.empty())
+  {
+    seen.image = cv::Mat();  // not into the pixels that were given
+    repair_.apply(image, seen.image);
+  }
+  // In the middle of the image: if rows are mixed, they are in all of it.
+  const cv::Size looked(std::min(whole.width / 2, kLooked), std::min(whole.height / 2, kLooked));
+  const cv::Rect middle(cv::Point((whole.width - looked.width) / 2, (whole.height - looked.height) / 2), looked);
+  return mixed_.look(seen.image, middle);
+}
+
 void UsablePixels::apply(std::int64_t stamp_ns, RegistrationRequest& request)
 {
   for (RegistrationView& view : request.views)
   {
-    Detector& detector = detectors_[view.geometry.name()];
-    detector.field.update(view.image, request.intensity);
-    if (!detector.field.nothing().empty())
+    UsableImage seen = detectors_[view.geometry.name()].look(view.image, request.intensity, stamp_ns);
+    if (!seen.fault.empty())
     {
-      throw std::invalid_argument(message("view ", view.geometry.name(), ": ", detector.field.nothing()));
+      throw std::invalid_argument(message("view ", view.geometry.name(), ": ", seen.fault));
     }
-    const std::optional<std::int64_t> before = detector.repeated.add(view.image, stamp_ns);
-    if (before && *before < stamp_ns)
-    {
-      throw std::invalid_argument(message("view ", view.geometry.name(),
-                                          ": the image, or a good part of its rows, is bit for bit that of ",
-                                          1e-9 * static_cast<double>(stamp_ns - *before), " s before"));
-    }
-    if (detector.inspected != view.image.size())
-    {
-      detector.repair.add(ImageInspector().inspect(view.image, request.intensity), view.image.size());
-      detector.inspected = view.image.size();
-    }
-    const cv::Rect whole(cv::Point(), view.image.size());
-    if (detector.field.outside(whole) > 0.0)
-    {
-      cv::Mat outside = cv::Mat::zeros(view.image.size(), CV_8UC1);
-      detector.field.mark(whole, 1, outside);
-      view.usable = outside == 0;
-    }
-    if (!detector.repair.empty())
-    {
-      cv::Mat repaired;
-      detector.repair.apply(view.image, repaired);
-      view.image = repaired;
-    }
-    // In the middle of the image: if rows are mixed, they are in all of it.
-    const cv::Size looked(std::min(whole.width / 2, kLooked), std::min(whole.height / 2, kLooked));
-    const cv::Rect middle(cv::Point((whole.width - looked.width) / 2, (whole.height - looked.height) / 2), looked);
-    if (const std::string& mixed = detector.mixed.look(view.image, middle); !mixed.empty())
-    {
-      throw std::invalid_argument(message("view ", view.geometry.name(), ": ", mixed));
-    }
+    view.image = seen.image;
+    view.usable = seen.usable;
   }
 }
 }  // namespace xray_tracking

@@ -8,116 +8,110 @@ namespace xray_tracking
 {
 namespace
 {
+constexpr std::int64_t kSecond = 1000000000;
+
 /// A store of two detectors and how to fill it.
 class ExposureStoreTest : public testing::Test
 {
 protected:
-  template <typename Message>
-  static boost::shared_ptr<Message> stamped(double stamp)
+  void addInfo(std::size_t detector, std::int64_t stamp)
   {
-    const auto message = boost::make_shared<Message>();
-    message->header.stamp = ros::Time(stamp);
-    return message;
+    EXPECT_EQ("", store_.takeCameraInfo(detector, stamp, kNow));
+    store_.keepCameraInfo(detector, stamp, boost::make_shared<sensor_msgs::CameraInfo>());
   }
-  static void addView(ExposureStore& store, std::size_t detector, double stamp)
+  void addImage(std::size_t detector, std::int64_t stamp)
   {
-    store.addCameraInfo(detector, stamped<sensor_msgs::CameraInfo>(stamp));
-    store.addImage(detector, stamped<sensor_msgs::Image>(stamp));
+    EXPECT_EQ("", store_.takeImage(detector, stamp, kNow));
+    const auto image = boost::make_shared<sensor_msgs::Image>();
+    image->header.seq = static_cast<std::uint32_t>(stamp / kSecond);
+    store_.keepImage(detector, stamp, store_.run(), UsableImage(), image);
   }
-  static void addViews(ExposureStore& store, double stamp)
+  void addView(std::size_t detector, std::int64_t stamp)
   {
-    addView(store, 0, stamp);
-    addView(store, 1, stamp);
+    addInfo(detector, stamp);
+    addImage(detector, stamp);
   }
-  static void expectNext(ExposureStore& store, double stamp, const std::string& missing)
+  void addViews(std::int64_t stamp)
   {
-    const auto due = store.next();
-    ASSERT_TRUE(due);
-    EXPECT_EQ(ros::Time(stamp), due->stamp);
-    EXPECT_EQ(missing, due->missing);
+    addView(0, stamp);
+    addView(1, stamp);
   }
+  const StoredExposure* find(std::int64_t stamp) const { return store_.find(stamp); }
 
-  const std::vector<std::string> names_ = { "a", "b" };
+  static constexpr std::int64_t kNow = 100 * kSecond;
+  ExposureStore store_{ { "a", "b" }, 3 };
 };
-
-TEST_F(ExposureStoreTest, handsOutInOrderEachOnce)
-{
-  ExposureStore store(names_, 10, true);
-  addView(store, 0, 1.0);
-  EXPECT_FALSE(store.next());
-  addView(store, 0, 2.0);
-  addView(store, 1, 1.0);
-  expectNext(store, 1.0, "");
-  EXPECT_FALSE(store.next());
-  addView(store, 0, 3.0);
-  EXPECT_EQ(2U, store.waiting());
-  addView(store, 1, 3.0);
-  // All of a later one is there: what is missing now will not come.
-  expectNext(store, 2.0, "b/image_raw has not arrived");
-  expectNext(store, 3.0, "");
-  addView(store, 1, 2.0);
-  EXPECT_FALSE(store.next());
-  EXPECT_EQ(0U, store.waiting());
-  EXPECT_EQ("", store.missingView(*store.find(ros::Time(2.0)))) << "late, but there for who asks";
-}
-
-TEST_F(ExposureStoreTest, isBoundedAndSaysWhatGaveWay)
-{
-  ExposureStore store(names_, 2, true);
-  for (const double stamp : { 1.0, 2.0, 3.0 })
-  {
-    addViews(store, stamp);
-  }
-  EXPECT_EQ(2U, store.size());
-  EXPECT_EQ(nullptr, store.find(ros::Time(1.0)));
-  expectNext(store, 1.0, "it gave way, as more than 2 exposures were kept");
-  expectNext(store, 2.0, "");
-  expectNext(store, 3.0, "");
-  EXPECT_FALSE(store.next());
-}
-
-TEST_F(ExposureStoreTest, isBoundedWhereNobodyTakesThemInTurn)
-{
-  ExposureStore store(names_, 2, false);
-  addViews(store, 1.0);
-  const boost::weak_ptr<const sensor_msgs::Image> first = store.find(ros::Time(1.0))->images[0];
-  addViews(store, 2.0);
-  EXPECT_FALSE(first.expired());
-  addViews(store, 3.0);
-  EXPECT_EQ(2U, store.size());
-  EXPECT_EQ(0U, store.waiting());
-  EXPECT_TRUE(first.expired()) << "an image that nobody can ask for";
-  EXPECT_FALSE(store.next());
-}
 
 TEST_F(ExposureStoreTest, findsByStampOrTheLatestWhole)
 {
-  ExposureStore store(names_, 10, true);
-  EXPECT_EQ(nullptr, store.find(ros::Time()));
-  addViews(store, 1.0);
-  addViews(store, 2.0);
-  addView(store, 0, 3.0);
-  EXPECT_EQ(ros::Time(2.0), store.find(ros::Time())->images[1]->header.stamp);
-  EXPECT_EQ("b/image_raw has not arrived", store.missingView(*store.find(ros::Time(3.0))));
-  EXPECT_EQ(nullptr, store.find(ros::Time(4.0)));
+  std::int64_t latest = 0;
+  EXPECT_EQ(nullptr, store_.find(latest));
+  EXPECT_EQ(0, latest);
+  addViews(1 * kSecond);
+  addViews(2 * kSecond);
+  addView(0, 3 * kSecond);
+  EXPECT_EQ(2U, store_.find(latest)->at(1).pixels->header.seq);
+  EXPECT_EQ(2 * kSecond, latest);
+  EXPECT_EQ(1U, find(kSecond)->at(1).pixels->header.seq);
+  EXPECT_EQ("", store_.missingView(*find(kSecond)));
+  EXPECT_EQ("b/image_raw has not arrived", store_.missingView(*find(3 * kSecond)));
+  addImage(1, 3 * kSecond);
+  EXPECT_EQ("b/camera_info has not arrived", store_.missingView(*find(3 * kSecond)));
+  EXPECT_EQ(nullptr, find(4 * kSecond));
+}
+
+TEST_F(ExposureStoreTest, isBounded)
+{
+  addViews(1 * kSecond);
+  const boost::weak_ptr<const sensor_msgs::Image> first = find(kSecond)->at(0).pixels;
+  addViews(2 * kSecond);
+  addViews(3 * kSecond);
+  EXPECT_FALSE(first.expired());
+  addViews(4 * kSecond);
+  EXPECT_EQ(3U, store_.size());
+  EXPECT_EQ(nullptr, find(kSecond));
+  EXPECT_TRUE(first.expired()) << "an image that nobody can ask for";
 }
 
 TEST_F(ExposureStoreTest, beginsAnewWhenTimeJumpsBack)
 {
-  ExposureStore store(names_, 10, true);
-  for (const double stamp : { 5.0, 6.0, 8.0 })
+  for (const std::int64_t stamp : { 5, 6, 8 })
   {
-    addViews(store, stamp);
+    addViews(stamp * kSecond);
   }
-  expectNext(store, 5.0, "");
-  EXPECT_FALSE(store.takeRestart());
-  addViews(store, 5.0);
-  EXPECT_EQ(1U, store.size());
-  EXPECT_TRUE(store.takeRestart());
-  EXPECT_FALSE(store.takeRestart());
-  expectNext(store, 5.0, "");
-  addViews(store, 6.0);
-  expectNext(store, 6.0, "");
+  EXPECT_EQ("", store_.takeImage(1, 9 * kSecond, kNow));
+  EXPECT_EQ(0U, store_.run());
+  addViews(5 * kSecond);
+  EXPECT_EQ(1U, store_.run());
+  EXPECT_EQ(1U, store_.size());
+  EXPECT_EQ("", store_.missingView(*find(5 * kSecond)));
+  // An image of the run before that was being looked at meanwhile.
+  store_.keepImage(1, 9 * kSecond, 0, UsableImage(), nullptr);
+  EXPECT_EQ(1U, store_.size());
+  addViews(6 * kSecond);
+  EXPECT_EQ(2U, store_.size());
+  EXPECT_EQ(1U, store_.run());
+}
+
+TEST_F(ExposureStoreTest, aStampOfTheFutureForgetsNothing)
+{
+  addViews(5 * kSecond);
+  for (const std::int64_t stamp : { std::int64_t(102), std::int64_t(4294967295) })
+  {
+    EXPECT_NE(std::string::npos, store_.takeImage(1, stamp * kSecond, kNow).find("b/image_raw: the stamp"));
+    EXPECT_NE(std::string::npos, store_.takeCameraInfo(0, stamp * kSecond, kNow).find("in the future"));
+  }
+  addViews(6 * kSecond);
+  EXPECT_EQ(2U, store_.size());
+  EXPECT_EQ(0U, store_.run());
+}
+
+TEST_F(ExposureStoreTest, dropsWhatIsRepeatedOrLate)
+{
+  addViews(5 * kSecond);
+  addViews(6 * kSecond);
+  EXPECT_NE(std::string::npos, store_.takeImage(0, 6 * kSecond, kNow).find("not newer"));
+  EXPECT_NE(std::string::npos, store_.takeImage(0, 5 * kSecond + 1, kNow).find("not newer"));
 }
 }  // namespace
 }  // namespace xray_tracking

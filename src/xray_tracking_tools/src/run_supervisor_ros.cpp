@@ -68,6 +68,12 @@ std::vector<std::string> stringList(XmlRpc::XmlRpcValue& value, const std::strin
   return strings;
 }
 
+/// tf is in no namespace.
+std::string resolveTopic(const ros::NodeHandle& topics, const std::string& topic)
+{
+  return topic == "tf" || topic == "tf_static" ? "/" + topic : topics.resolveName(topic);
+}
+
 /// Topics, relative to a namespace, to names. The parameter server makes nested maps of topics with slashes:
 /// {detector_a: {image_raw: [names]}}.
 void addRequiredSubscribers(XmlRpc::XmlRpcValue& value, const std::string& key, const ros::NodeHandle& topics,
@@ -87,7 +93,7 @@ void addRequiredSubscribers(XmlRpc::XmlRpcValue& value, const std::string& key, 
   }
   for (const std::string& name : stringList(value, key + "/" + topic))
   {
-    required[topics.resolveName(topic)].push_back(nodes.resolveName(name));
+    required[resolveTopic(topics, topic)].push_back(nodes.resolveName(name));
   }
 }
 }  // namespace

@@ -62,11 +62,17 @@ void TreatmentRoomPublisherRos::poseCallback(const geometry_msgs::PoseWithCovari
   try
   {
     const RigidTransform room_from_patient = rigidFromPoseMsg(message.pose.pose);
-    if (message.header.stamp < last_pose_stamp_)
+    using Verdict = StampPolicy::Verdict;
+    const Verdict verdict =
+        pose_stamps_.take(nanosecondsFromTime(message.header.stamp), nanosecondsFromTime(ros::Time::now()));
+    if (verdict == Verdict::FUTURE || verdict == Verdict::REPEATED_OR_LATE)
+    {
+      throw std::invalid_argument(pose_stamps_.why());
+    }
+    if (verdict == Verdict::RESTART)
     {
       trail_.clear();
     }
-    last_pose_stamp_ = message.header.stamp;
     if (trail_.size() == trail_length_)
     {
       trail_.erase(trail_.begin());

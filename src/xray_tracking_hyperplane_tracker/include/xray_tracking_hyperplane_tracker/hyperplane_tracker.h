@@ -113,7 +113,7 @@ public:
   /// changed. Displacements are still those from the first image, and what measures them in the end, the last steps or,
   /// without these, the finest predictor, is still learnt from it: errors do not add up over re-trainings.
   /// @return whether the region was found; else nothing is learnt
-  bool retrain(const cv::Mat& image);
+  bool retrain(const cv::Mat& image) override;
 
   /// From now on judges by these min_correlation, found_correlation, min_quality and good_quality; all else stays.
   /// @throws std::invalid_argument, see HyperplaneTrackerOptions::validate

@@ -18,12 +18,12 @@
 #include <xray_tracking_msgs/TrackedRegion.h>
 #include <xray_tracking_msgs/TrainRegion.h>
 
+#include "xray_tracking_core/sequence/stamp_policy.h"
 #include "xray_tracking_hyperplane_tracker/HyperplaneTrackerConfig.h"
 #include "xray_tracking_hyperplane_tracker/bounded_queue.h"
-#include "xray_tracking_hyperplane_tracker/exposure_check.h"
-#include "xray_tracking_hyperplane_tracker/recovering_tracker.h"
 #include "xray_tracking_hyperplane_tracker/tracker_parameters.h"
 #include "xray_tracking_hyperplane_tracker/training_mailbox.h"
+#include "xray_tracking_hyperplane_tracker/view_tracker.h"
 
 namespace xray_tracking
 {
@@ -32,7 +32,8 @@ namespace xray_tracking
 /// Exposures go, shared and not copied, through a bounded queue to a worker thread, which alone learns templates and
 /// tracks: callbacks never wait for it. Every exposure is answered in order, those that arrived during a training after
 /// it. Only where the worker cannot keep up, that is, an exposure has waited for `max_wait` since, it goes on with the
-/// newest and counts the others. The training services have a callback queue and threads of their own.
+/// newest and counts the others. The training services have a callback queue and threads of their own. What is learnt
+/// while there is a template is learnt after the exposure's answer is out (ViewTracker).
 ///
 /// Parameters or a setup file that it cannot work with are reported in the log and in diagnostics; exposures are then
 /// answered as untrained.
@@ -66,7 +67,7 @@ private:
     double wall_ms = 0.0;
     double longest_wall_ms = 0.0;  ///< since the last report
     std::size_t exposures = 0;
-    std::size_t bad_stamps = 0;  ///< exposures whose stamp was not newer, or in the future
+    std::size_t bad_stamps = 0;  ///< exposures that were dropped for their stamp
     std::optional<ros::SteadyTime> last_arrival;
   };
   /// What the last report was, for what has happened since.
@@ -86,6 +87,9 @@ private:
   TrackerParameters settings() const;
   void diagnose(diagnostic_updater::DiagnosticStatusWrapper& status);
 
+  /// Leaves a training for the next exposure and waits for its outcome.
+  void serve(const Training& training, Trigger::Response& response);
+
   // All below run in the worker thread.
   void work();
   void configure();
@@ -96,20 +100,14 @@ private:
   void process(const Arrival& arrival);
   /// @return whether the exposure is to be answered; forgets the template when time jumps back
   bool acceptStamp(const ros::Time& stamp);
-  void startAnew();
-  /// Learns a template if there is reason to and tracks. @return what went wrong; empty: nothing
-  std::string answer(const sensor_msgs::ImageConstPtr& image, TrackedRegion& result);
-  /// Of an exposure that shows something. @param outcome of the request, if it was served
-  std::string answerUsable(const cv::Mat& pixels, const sensor_msgs::ImageConstPtr& image,
-                           const TrainingRequest* request, TrackedRegion& result,
-                           std::optional<TrainRegion::Response>& outcome);
-  TrainRegion::Response serveTraining(const cv::Rect& region, const cv::Mat& pixels,
-                                      const sensor_msgs::ImageConstPtr& image);
-  TrainRegion::Response serveRetraining(const cv::Mat& pixels, const TrackedRegion& result);
-  /// @return what is wrong with the region or the image; empty: trained
-  std::string train(const cv::Mat& pixels, const cv::Rect& region, const sensor_msgs::ImageConstPtr& image);
-  void track(const cv::Mat& pixels, TrackedRegion& result);
-  void tell(const TrackedRegion& result, const std::string& fault);
+  void publish(const Arrival& arrival, const ViewAnswer& answer, double cpu_seconds);
+  /// Once the exposure is answered. @param pixels empty: the image has none that can be read
+  void finish(TrainingRequest& request, const sensor_msgs::ImageConstPtr& image, const cv::Mat& pixels,
+              const ViewAnswer& answer);
+  /// Takes note of a template that was learnt on this image.
+  void noteReference(const sensor_msgs::ImageConstPtr& image);
+  void showState(std::uint8_t state);
+  void tell(const TrackedRegion& result, const std::string& error);
   void publishOverlay(const sensor_msgs::ImageConstPtr& image, const TrackedRegion& result);
 
   ros::NodeHandle nh_;
@@ -123,7 +121,6 @@ private:
 
   std::unique_ptr<BoundedQueue<Arrival>> arrivals_;
   TrainingMailbox requests_;
-  std::atomic<bool> reset_asked_{ false };
   const sensor_msgs::Image* last_received_ = nullptr;  ///< of the image callback
   ros::Time last_received_stamp_;
   mutable std::mutex snapshot_mutex_;
@@ -133,16 +130,14 @@ private:
   // The worker's.
   TrackerParameters parameters_;
   IntensityModel intensity_;
-  std::optional<RecoveringTracker> tracker_;
-  std::optional<ExposureCheck> check_;            ///< with the tracker
-  HyperplaneTracker* hyperplane_ = nullptr;       ///< the tracker, if that is the method
+  std::optional<ViewTracker> tracker_;            ///< none: the configuration is faulty
+  HyperplaneTracker* hyperplane_ = nullptr;       ///< the tracker's, if that is the method
   TemplateRegistration* registration_ = nullptr;  ///< else this one
   std::optional<cv::Rect> configured_region_;     ///< of parameters or setup file
-  std::optional<cv::Rect> region_;                ///< to train on while there is no template
   sensor_msgs::ImageConstPtr reference_;          ///< that the template was trained on
   ros::SteadyTime training_end_;
-  ros::Time last_stamp_;
-  std::string logged_fault_;
+  StampPolicy stamps_;
+  std::string logged_error_;
   std::uint8_t logged_state_ = TrackedRegion::UNTRAINED;
 
   ros::Publisher region_publisher_;

@@ -31,6 +31,8 @@ public:
 
   /// As RegionTracker::train. @throws as it does; an earlier template stays
   void train(const cv::Mat& image, const cv::Rect& region);
+  /// As RegionTracker::retrain.
+  bool retrain(const cv::Mat& image) { return tracker_->retrain(image); }
   void reset();
   bool trained() const { return tracker_->trained(); }
   cv::Rect region() const { return tracker_->region(); }

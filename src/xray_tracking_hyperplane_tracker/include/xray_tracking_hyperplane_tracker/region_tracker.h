@@ -1,5 +1,7 @@
 #pragma once
 
+#include <stdexcept>
+
 #include <Eigen/Core>
 #include <opencv2/core.hpp>
 
@@ -57,6 +59,14 @@ public:
   /// @param image CV_8UC1 or CV_16UC1; @param region [px], inside the image, 16 px or more in both directions
   /// @throws std::invalid_argument saying what is wrong with the image or the region; an earlier template stays.
   virtual void train(const cv::Mat& image, const cv::Rect& region) = 0;
+
+  /// Learns anew, from an image in which the region is found, what may be learnt from more than the first; the
+  /// displacement goes on. @return whether the region was found; else nothing is learnt
+  /// @throws std::logic_error where the method has nothing of the kind
+  virtual bool retrain(const cv::Mat& /*image*/)
+  {
+    throw std::logic_error("the method does not learn from more than the first exposure");
+  }
 
   /// Forgets the template.
   virtual void reset() = 0;

@@ -4,20 +4,19 @@
 #include <future>
 #include <memory>
 #include <mutex>
-#include <optional>
 #include <string>
 #include <utility>
 
-#include <opencv2/core.hpp>
-
 #include <xray_tracking_msgs/TrainRegion.h>
+
+#include "xray_tracking_hyperplane_tracker/view_tracker.h"
 
 namespace xray_tracking
 {
 /// What to learn and where its asker waits for the answer.
 struct TrainingRequest
 {
-  std::optional<cv::Rect> region;  ///< a new template's; none: learn the one in use again
+  Training training;
   std::promise<xray_tracking_msgs::TrainRegion::Response> response;
 };
 
@@ -36,10 +35,10 @@ public:
   }
 
   /// Leaves a request and waits: for as long as the training takes, but no longer than `timeout` [s] for its beginning.
-  Response ask(const std::optional<cv::Rect>& region, double timeout)
+  Response ask(const Training& training, double timeout)
   {
     const auto mine = std::make_shared<TrainingRequest>();
-    mine->region = region;
+    mine->training = training;
     {
       const std::lock_guard<std::mutex> lock(mutex_);
       if (closed_ || asked_)

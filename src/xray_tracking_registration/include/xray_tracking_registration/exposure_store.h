@@ -1,78 +1,73 @@
 #pragma once
 
 #include <cstddef>
+#include <cstdint>
 #include <map>
 #include <optional>
 #include <string>
-#include <utility>
 #include <vector>
 
-#include <ros/time.h>
 #include <sensor_msgs/CameraInfo.h>
 #include <sensor_msgs/Image.h>
 
+#include "xray_tracking_core/sequence/stamp_policy.h"
+#include "xray_tracking_registration/usable_pixels.h"
+
 namespace xray_tracking
 {
-/// What belongs to one exposure, by its stamp; null: not (yet) there.
-struct StoredExposure
+/// One detector's part of an exposure, as far as it is there.
+struct StoredView
 {
-  std::vector<sensor_msgs::ImageConstPtr> images;             ///< one a detector
-  std::vector<sensor_msgs::CameraInfoConstPtr> camera_infos;  ///< one a detector
-  ros::SteadyTime last_arrival;
-  bool answered = false;
+  sensor_msgs::CameraInfoConstPtr camera_info;
+  std::optional<UsableImage> image;
+  sensor_msgs::ImageConstPtr pixels;  ///< whose pixels `image` has, unless these are its own
 };
+using StoredExposure = std::vector<StoredView>;  ///< one a detector
 
-/// The latest exposures, in the order of their stamps, and which of them is to be answered next. Each is handed out
-/// once: complete ones as such, others when a later one is complete (every topic is in order) or has taken their place.
+/// The latest exposures, by their stamps, for who asks about them.
 ///
-/// An image or camera_info more than a second older than the last one on its topic is the beginning of another run: all
-/// is forgotten.
+/// Stamps of every topic are taken as StampPolicy says; where time goes back on one of them, another run has begun and
+/// all is forgotten.
 class ExposureStore
 {
 public:
   /// @param detectors names, for messages; @param capacity number of exposures kept, 1 or more
-  /// @param in_turn whether next() will be called; without, exposures are kept for find() alone
-  ExposureStore(std::vector<std::string> detectors, std::size_t capacity, bool in_turn);
+  ExposureStore(std::vector<std::string> detectors, std::size_t capacity);
 
-  void addImage(std::size_t detector, const sensor_msgs::ImageConstPtr& image);
-  void addCameraInfo(std::size_t detector, const sensor_msgs::CameraInfoConstPtr& camera_info);
-  /// Whether time has jumped back since this was last asked.
-  bool takeRestart() { return std::exchange(restarted_, false); }
+  /// Of what has just come. @param now_ns as StampPolicy::take. @return why it is to be dropped; empty: it is to be
+  /// kept
+  std::string takeImage(std::size_t detector, std::int64_t stamp_ns, std::int64_t now_ns);
+  std::string takeCameraInfo(std::size_t detector, std::int64_t stamp_ns, std::int64_t now_ns);
+  /// Keeps what was taken. @param run in which that was; nothing is kept of one that has ended since
+  void keepImage(std::size_t detector, std::int64_t stamp_ns, std::size_t run, UsableImage image,
+                 const sensor_msgs::ImageConstPtr& pixels);
+  void keepCameraInfo(std::size_t detector, std::int64_t stamp_ns, const sensor_msgs::CameraInfoConstPtr& camera_info);
+  /// Number of runs that have ended.
+  std::size_t run() const { return run_; }
 
-  /// An exposure whose turn it is.
-  struct Due
-  {
-    ros::Time stamp;
-    StoredExposure exposure;
-    std::string missing;  ///< names what is; empty if it is complete
-  };
-  std::optional<Due> next();
-
-  /// The exposure of a stamp, or the latest with all images if the stamp is zero; null if there is none.
-  const StoredExposure* find(const ros::Time& stamp) const;
+  /// The exposure of a stamp; null if there is none.
+  /// @param stamp_ns zero: that of the latest with all views, which it is then set to
+  const StoredExposure* find(std::int64_t& stamp_ns) const;
   /// Names the first image or camera_info that the exposure lacks; empty if it has all.
   std::string missingView(const StoredExposure& exposure) const;
 
   std::size_t size() const { return exposures_.size(); }
-  /// Number of exposures that wait for their turn.
-  std::size_t waiting() const;
 
 private:
-  using Exposures = std::map<ros::Time, StoredExposure>;
+  struct Topics
+  {
+    StampPolicy images;
+    StampPolicy camera_infos;
+  };
 
-  /// Forgets all if the stamp goes back. @param last on the same topic
-  void noteArrival(const ros::Time& stamp, ros::Time& last);
-  StoredExposure& at(const ros::Time& stamp);
-  Due handOut(Exposures::iterator entry, const std::string& missing);
+  /// @param name of the topic. @return as takeImage
+  std::string take(StampPolicy& topic, const std::string& name, std::int64_t stamp_ns, std::int64_t now_ns);
+  StoredExposure& at(std::int64_t stamp_ns);
 
   std::vector<std::string> detectors_;
   std::size_t capacity_;
-  bool in_turn_;
-  Exposures exposures_;
-  std::vector<Due> displaced_;                ///< never answered, and out of the store
-  std::vector<ros::Time> last_images_;        ///< one a detector
-  std::vector<ros::Time> last_camera_infos_;  ///< one a detector
-  std::optional<ros::Time> last_answered_;
-  bool restarted_ = false;
+  std::map<std::int64_t, StoredExposure> exposures_;
+  std::vector<Topics> topics_;  ///< one a detector
+  std::size_t run_ = 0;
 };
 }  // namespace xray_tracking

@@ -14,9 +14,13 @@
 /// Messages of a refinement to the library's types and back.
 namespace xray_tracking
 {
-/// The views of an exposure that has all its images: projections from camera_info and the frames' places in the room;
-/// the panel's distance, which neither has, from the setup.
-/// They refer to the exposure's images. @throws std::invalid_argument saying what is wrong with which view
+/// An image as it comes. Its pixels are the message's, or its own. Never throws: what is wrong is the image's fault.
+UsableImage usableImageOf(const sensor_msgs::ImageConstPtr& image, const IntensityModel& intensity,
+                          DetectorPixels& detector);
+
+/// The views of an exposure that is complete: projections from camera_info and the frames' places in the room; the
+/// panel's distance, which neither has, from the setup. They refer to the exposure's images.
+/// @throws std::invalid_argument saying what is wrong with which view
 std::vector<RegistrationView> viewsOf(const StoredExposure& exposure, const TreatmentSetup& setup,
                                       const tf2_ros::Buffer& tf_buffer);
 

@@ -9,21 +9,9 @@
 
 namespace xray_tracking
 {
-/// How the graph comes to its poses.
-enum class RefinementMethod
-{
-  TRACKING,                  ///< the node answers requests
-  REGISTRATION,              ///< the node refines every exposure by itself, from the last accepted pose
-  TRACKING_AND_REGISTRATION  ///< as TRACKING; answers about kept exposures are published, too
-};
-
-/// As in the parameter `method`.
-std::string methodName(RefinementMethod method);
-
 /// The node's parameters (README.md: units, defaults, ranges).
 struct RegistrationParameters
 {
-  RefinementMethod method = RefinementMethod::TRACKING;
   std::string setup_file;
   std::string source = "phantom";  ///< or "ct"
   int bodies = 2;

@@ -3,8 +3,9 @@
 #include <atomic>
 #include <condition_variable>
 #include <cstddef>
+#include <cstdint>
+#include <deque>
 #include <functional>
-#include <future>
 #include <memory>
 #include <mutex>
 #include <optional>
@@ -28,16 +29,17 @@
 #include "xray_tracking_registration/exposure_store.h"
 #include "xray_tracking_registration/registration.h"
 #include "xray_tracking_registration/registration_parameters.h"
-#include "xray_tracking_registration/usable_pixels.h"
+#include "xray_tracking_registration/sequence_registration.h"
 
 namespace xray_tracking
 {
-/// 2D-3D registration as a node: refines poses on request, or every exposure by itself if the method says so. Topics,
-/// services, action and parameters: README.md.
+/// 2D-3D registration as a node: registers the exposures that it is asked about. Topics, services, action and
+/// parameters: README.md.
 ///
 /// A callback queue of its own with threads of its own: nothing here ever holds up a manager's other nodelets. One
-/// thread registers; requests are told at once if it is busy with another one. Parameters that it cannot work with are
-/// reported in the log, in diagnostics and to whoever asks; it then stays idle.
+/// request is worked on at a time, a service's in the thread that it came in, an action's in one for it; others are
+/// told at once that it is busy. Parameters that it cannot work with are reported in the log, in diagnostics and to
+/// whoever asks; it then stays idle.
 class RegistrationRos
 {
 public:
@@ -51,64 +53,42 @@ private:
   using GoalHandle = ActionServer::GoalHandle;
   using Progress = std::function<bool(const RegistrationProgress&)>;
 
-  /// The one request being worked on.
-  struct Job
-  {
-    RefinementRequest request;
-    std::function<void(const RefinementResult&)> answer;
-    std::optional<GoalHandle> goal;
-    ros::SteadyTime arrival = ros::SteadyTime::now();
-    bool running = false;
-  };
-
-  struct BelievedPose
-  {
-    RigidTransform room_from_patient;
-    ros::Time stamp;
-  };
-
   void start();
   void subscribe();
-  /// @param store called with every message while the mutex is held
+  /// @param handle called with every message
   template <typename Message>
-  void subscribeTo(const std::string& topic, std::function<void(const boost::shared_ptr<Message const>&)> store);
+  void subscribeTo(const std::string& topic, std::function<void(const boost::shared_ptr<Message const>&)> handle);
+  void takeImage(std::size_t detector, const sensor_msgs::ImageConstPtr& image);
+  void takeCameraInfo(std::size_t detector, const sensor_msgs::CameraInfoConstPtr& camera_info);
+  void warnOfDropped(const std::string& why) const;
   /// Loads a CT, or the phantom where the path is empty, and makes it the one in use. @return why it could not; empty
   /// if it could
   std::string load(const std::string& ct_path);
   std::shared_ptr<const Registration> makeRegistration(const std::string& ct_path) const;
 
-  void work();
-  void answerJob();
-  void answerExposure(const ExposureStore::Due& due);
-  RefinementResult refineRequest(const RefinementRequest& message, const Progress& progress);
-  RefinementResult refineExposure(const ExposureStore::Due& due);
-  void publishRefined(const ros::Time& stamp, const RefinementResult& result, double cpu_seconds,
-                      const ros::SteadyTime& arrival);
-  /// Forgets what an earlier run has left, if time has jumped back. With the mutex held.
-  void noteRestart();
-  /// The exposure that a request means; waits for what of it is still on its way.
-  /// @return why there is none; empty if there is
-  std::string findExposure(const ros::Time& stamp, StoredExposure& exposure);
-  /// The registration in use; null if there is none.
-  std::shared_ptr<const Registration> currentRegistration();
-  /// With all but the start.
-  /// @param usable of the detectors' kept exposures, or one of its own for images that a request brings along
-  RegistrationRequest requestFor(const StoredExposure& exposure, Search search, UsablePixels& usable,
-                                 const Progress& progress) const;
-  /// @param stamp of the kept exposure; nothing for images that a request brings along
-  /// @param unverified who asks has nothing that confirms the start
-  RefinementResult run(const Registration& registration, RegistrationRequest request,
-                       const std::optional<ros::Time>& stamp, bool unverified);
-
   /// Takes the place of the one request; @return false if there is one already
-  bool claim(Job job);
+  bool claim();
+  /// Works on the request of who has claimed it, publishes what came of it, and makes room for the next one.
+  /// @param goal whom to tell of the progress; null: nobody
+  RefinementResult serve(const RefinementRequest& request, GoalHandle* goal, const ros::SteadyTime& arrival);
+  /// @param stamp_ns in: of the request; out: of the exposure that it means, if that is found
+  RefinementResult refine(const RefinementRequest& message, const Progress& progress, std::int64_t& stamp_ns);
+  void publishRefined(std::int64_t stamp_ns, const RefinementResult& result, double cpu_seconds,
+                      const ros::SteadyTime& arrival);
+  /// The exposure that a request means, see ExposureStore::find; waits for what of it is still on its way.
+  /// @return why there is none; empty if there is
+  std::string findExposure(std::int64_t& stamp_ns, StoredExposure& exposure);
+  /// With all but the start.
+  RegistrationRequest requestFor(const StoredExposure& exposure, Search search, const Progress& progress) const;
   RefinementResult busyResult() const;
+
   bool refinePoseCb(xray_tracking_msgs::RefinePose::Request& request,
                     xray_tracking_msgs::RefinePose::Response& response);
   bool loadVolumeCb(xray_tracking_msgs::LoadVolume::Request& request,
                     xray_tracking_msgs::LoadVolume::Response& response);
   void goalCb(GoalHandle goal);
   void cancelCb(GoalHandle goal);
+  void workOnGoals();
   void diagnose(diagnostic_updater::DiagnosticStatusWrapper& status);
 
   ros::CallbackQueue queue_;
@@ -118,25 +98,32 @@ private:
   TreatmentSetup setup_;
   std::string configuration_fault_;  ///< empty if the node works
 
-  // Of the registering thread alone.
-  RigidTransform accepted_pose_ = RigidTransform::Identity();  ///< room_from_patient of the last exposure
-  RigidTransform target_from_rest_ = RigidTransform::Identity();
-  std::optional<BelievedPose> believed_pose_;  ///< of a kept exposure, the last one that was asked about
-  UsablePixels usable_pixels_;
-  ros::Time last_refined_;  ///< exposure of the last refined_pose
+  /// Of the callbacks of a detector's images, one at a time.
+  struct Intake
+  {
+    DetectorPixels pixels;
+    std::size_t run = 0;  ///< that `pixels` is of
+  };
+  std::vector<Intake> intakes_;
+
+  // Of who works on a request alone.
+  std::optional<SequenceRegistration> sequence_;
+  std::size_t run_ = 0;                 ///< that it is of
+  std::deque<std::int64_t> published_;  ///< stamps of the last exposures on refined_pose
 
   std::atomic<bool> stop_{ false };
   std::atomic<bool> cancel_{ false };
   std::mutex mutex_;  ///< guards all from here to last_result_
   std::condition_variable wake_;
-  std::optional<Job> job_;
+  bool busy_ = false;               ///< a request is being worked on
+  std::optional<GoalHandle> goal_;  ///< the action's, if it is one
+  ros::SteadyTime goal_arrival_;
   std::optional<ExposureStore> store_;
   std::shared_ptr<const Registration> registration_;
   std::string volume_state_ = "the volume is still being loaded";
   bool loading_ = true;
-  bool volume_is_new_ = false;  ///< what was found with the one before does not hold
-  std::size_t exposures_ = 0;   ///< answered
-  std::size_t refined_ = 0;     ///< with success
+  std::size_t exposures_ = 0;  ///< published
+  std::size_t refined_ = 0;    ///< with success
   std::optional<RefinementResult> last_result_;
 
   tf2_ros::Buffer tf_buffer_;

@@ -12,14 +12,43 @@
 
 namespace xray_tracking
 {
-/// Leaves out of exposures what says nothing of the patient: what lies outside the X-ray field, and pixels that are
-/// stuck, which are taken from a detector's first exposure of a size. Not thread-safe.
+/// An image that has been looked at.
+struct UsableImage
+{
+  cv::Mat image;      ///< the same pixels, or a copy without those that are stuck
+  cv::Mat usable;     ///< as RegistrationView::usable
+  std::string fault;  ///< why the image says nothing of the patient; empty: it does
+};
+
+/// Looks at one detector's exposures, each once, for what says nothing of the patient: what lies outside the X-ray
+/// field, and pixels that are stuck, which are taken from the first exposure of a size. Not thread-safe.
+class DetectorPixels
+{
+public:
+  /// Takes in the next exposure. Never throws: what is wrong with an image is its fault.
+  /// @param stamp_ns of the exposure; one that comes again by its stamp is the same, not a repetition
+  UsableImage look(const cv::Mat& image, const IntensityModel& intensity, std::int64_t stamp_ns);
+
+  /// The next exposure is the first one.
+  void reset() { *this = DetectorPixels(); }
+
+private:
+  /// @return the fault
+  std::string examine(const cv::Mat& image, const IntensityModel& intensity, std::int64_t stamp_ns, UsableImage& seen);
+
+  XrayField field_;
+  RepeatedImageCheck repeated_;
+  PixelRepair repair_;
+  MixedRows mixed_;
+  cv::Size inspected_;  ///< size of the image that stuck pixels were taken from
+};
+
+/// The same of all views of an exposure at a time.
 class UsablePixels
 {
 public:
   /// Sets RegistrationView::usable of views that have a border, and puts an image of its own in the place of one that
   /// has stuck pixels.
-  /// @param stamp_ns of the exposure; one that comes again by its stamp is the same, not a repetition
   /// @throws std::invalid_argument naming the view whose image shows nothing, or what an exposure before it showed, in
   /// all or some of its rows
   void apply(std::int64_t stamp_ns, RegistrationRequest& request);
@@ -27,15 +56,6 @@ public:
   void reset() { detectors_.clear(); }
 
 private:
-  struct Detector
-  {
-    XrayField field;
-    RepeatedImageCheck repeated;
-    PixelRepair repair;
-    MixedRows mixed;
-    cv::Size inspected;  ///< size of the image that stuck pixels were taken from
-  };
-
-  std::map<std::string, Detector> detectors_;
+  std::map<std::string, DetectorPixels> detectors_;
 };
 }  // namespace xray_tracking

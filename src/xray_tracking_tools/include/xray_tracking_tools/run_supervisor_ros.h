@@ -22,8 +22,7 @@ namespace xray_tracking
 ///
 /// Parameters: ~exposures, ~method, ~detectors, ~required_subscribers, ~required_detector_subscribers, ~start_mode,
 /// ~start_service, ~stall_timeout.
-/// Subscribes: patient_motion, <detector>/camera_info, <detector>/tracked_region, and refined_pose if the method
-/// registers.
+/// Subscribes: patient_motion, <detector>/camera_info, <detector>/tracked_region.
 /// Calls: ~start_service (std_srvs/Trigger of a simulator, or std_srvs/SetBool of rosbag play's pause_playback).
 /// All its timers are wall timers: it has to see a clock that stands still.
 class RunSupervisorRos
@@ -48,8 +47,6 @@ private:
   std::string callStartService() const;
   void setWaitingFor(const std::string& text);
   void motionCallback(const xray_tracking_msgs::PatientMotion& message);
-  /// Exposures of which every answer that is waited for has come.
-  std::size_t answered() const;
   void tick();
   void printProgress(const xray_tracking_msgs::PatientMotion& message);
   void printStall();

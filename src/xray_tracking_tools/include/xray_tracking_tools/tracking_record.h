@@ -20,7 +20,7 @@ struct TrackingRecord
   std::set<std::int64_t> exposures;                                       ///< every stamp that occurs
   std::map<std::int64_t, xray_tracking_msgs::PatientMotion> motions;      ///< `patient_motion`
   std::map<std::int64_t, RigidTransform> poses;                           ///< `patient_pose`
-  std::map<std::int64_t, xray_tracking_msgs::RefinedPose> refined_poses;  ///< `refined_pose`, all of one method
+  std::map<std::int64_t, xray_tracking_msgs::RefinedPose> refined_poses;  ///< `refined_pose`
   std::map<std::int64_t, RigidTransform> ground_truth;                    ///< `patient_ground_truth`
   std::set<std::int64_t> verified;                                        ///< exposures with `verified` on `beam_gate`
   std::set<std::int64_t> gate_open;                                       ///< exposures with `open` on it
@@ -31,11 +31,11 @@ struct TrackingRecord
 /// `patient_ground_truth` and the detectors' `camera_info`.
 /// @param epoch_ns subtracted from every stamp: kPlaybackEpochNs for a played sequence, 0 for a live run
 /// @throws std::runtime_error naming bag, topic and stamp: no bag, not closed, a pose that is none, a stamp answered
-/// twice, a state that the message does not define, refined poses of two methods
+/// twice, a state that the message does not define, motions of two methods
 TrackingRecord readTrackingRecord(const std::string& bag_path, std::int64_t epoch_ns);
 
-/// Both judge `tracking`, and the method of the refined poses if there are any; the times of tracking_and_registration
-/// are those of both.
+/// Both judge the poses that were published, by the run's method, with the times of all that led to them; and, of
+/// tracking_and_registration, as `registration`, what the registration said by itself.
 ///
 /// Judges a live run: exposures and gold standard are those of the record.
 /// @throws std::runtime_error if there is no exposure, or a gold standard that lacks some of them

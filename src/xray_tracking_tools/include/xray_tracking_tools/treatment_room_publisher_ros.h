@@ -12,6 +12,7 @@
 #include <xray_tracking_msgs/BeamGate.h>
 #include <xray_tracking_msgs/TrackedRegion.h>
 
+#include "xray_tracking_core/sequence/stamp_policy.h"
 #include "xray_tracking_core/sequence/treatment_setup.h"
 
 namespace xray_tracking
@@ -43,7 +44,7 @@ private:
   std::vector<visualization_msgs::Marker> static_markers_;
   std::map<std::size_t, std::vector<visualization_msgs::Marker>> region_markers_;  // by detector
   std::vector<geometry_msgs::Point> trail_;
-  ros::Time last_pose_stamp_;
+  StampPolicy pose_stamps_;
   visualization_msgs::Marker gate_marker_;
   ros::SteadyTime last_gate_;
   bool changed_ = true;

@@ -1,5 +1,5 @@
 #!/usr/bin/python3
-"""Nodes that publish what they make of exposures publish each once; and what they say if they cannot."""
+"""What the node makes of the exposures that it is asked about; and what it says if it cannot."""
 import os
 import signal
 import subprocess
@@ -36,11 +36,10 @@ class Answers:
         return self.messages
 
 
-class MethodsTest(RegistrationTestCase):
-    def check_refined(self, message, stamp, exposure, method):
+class SequencesTest(RegistrationTestCase):
+    def check_refined(self, message, stamp, exposure):
         self.assertEqual(message.header.stamp, stamp)
         self.assertEqual(message.header.frame_id, "treatment_room")
-        self.assertEqual(message.method, method)
         self.assertEqual(message.result.status, RefinementResult.SUCCESS, message.result.reason)
         self.assertLess(self.error_mm(message.result.pose.pose, exposure.truth), LIMIT_MM)
         self.assertGreater(message.cpu_time.to_sec(), 0.0)
@@ -52,60 +51,67 @@ class MethodsTest(RegistrationTestCase):
         for word in words:
             self.assertIn(word, message.result.reason)
 
-    def test_registration(self):
+    def test_publishes_what_it_is_asked_about(self):
+        """Each exposure once, in order; also if the request comes first, and if a bag is played again."""
         # So that a pose that is simply handed on is told from one that is found.
-        moved = self.error_mm(self.exposures[-1].truth, self.exposures[0].truth)
-        self.assertGreater(moved, 2.0)
-        answers = Answers("alone")
-        sender = Sender("alone")
-        for start in (0, 50, 0):  # the last one is a bag played again
+        self.assertGreater(self.error_mm(self.exposures[-1].truth, self.exposures[0].truth), 2.0)
+        answers = Answers("sequence")
+        sender = Sender("sequence")
+        refine = rospy.ServiceProxy("/sequence/registration/refine_pose", RefinePose)
+        for start in (100, 150, 100):
             del answers.messages[:]
-            stamps = [rospy.Time(100 + start, 100000000 * k) for k in range(EXPOSURES)]
+            stamps = [rospy.Time(start, 100000000 * k) for k in range(EXPOSURES)]
             for k, (stamp, exposure) in enumerate(zip(stamps, self.exposures)):
-                # Of the third one there is only one view.
-                sender.send(exposure, stamp, DETECTORS[:1] if k == 2 else DETECTORS)
-            for k, message in enumerate(answers.wait(EXPOSURES)):
+                request = RefinementRequest(seed=shifted(exposure.truth, 0.001, 0.001, -0.001), stamp=stamp)
                 if k == 2:
-                    self.check_failed(message, stamps[k], RefinementResult.NO_EXPOSURE, "detector_b/image_raw")
+                    later = threading.Timer(0.1, sender.send, (exposure, stamp))
+                    later.start()
+                    result = refine(request).result
+                    later.join()
+                elif k == 3:
+                    sender.send(exposure, stamp, DETECTORS[:1])
+                    result = refine(request).result
                 else:
-                    self.check_refined(message, stamps[k], self.exposures[k], "registration")
+                    sender.send(exposure, stamp)
+                    if k == 0:
+                        # Asked about at once, an exposure of before the bag was played again would be taken.
+                        rospy.sleep(0.3)
+                    if k == 4:
+                        request.seed.position.x = float("nan")
+                    result = refine(request).result
+                    if k == 1:
+                        self.assertEqual(refine(request).result.status, RefinementResult.SUCCESS)
+                self.assertEqual(answers.wait(k + 1)[k].result, result)
+            for k, message in enumerate(answers.messages):
+                if k == 3:
+                    self.check_failed(message, stamps[k], RefinementResult.NO_EXPOSURE, "detector_b/image_raw")
+                elif k == 4:
+                    self.check_failed(message, stamps[k], RefinementResult.INVALID, "nan")
+                else:
+                    self.check_refined(message, stamps[k], self.exposures[k])
+            # The latest has been published. Images that somebody brings along are no exposure of the detectors.
+            latest = RefinementRequest(seed=self.exposures[-1].truth)
+            self.assertEqual(refine(latest).result.status, RefinementResult.SUCCESS)
+            latest.images = [self.exposures[-1].images[name] for name in DETECTORS]
+            latest.camera_infos = [self.exposures[-1].camera_infos[name] for name in DETECTORS]
+            self.assertEqual(refine(latest).result.status, RefinementResult.SUCCESS)
             self.assertEqual(len(answers.messages), EXPOSURES)
 
-    def test_tracking_and_registration(self):
-        """What it is asked about kept exposures is published, each once; also if the request comes first."""
-        answers = Answers("after")
-        sender = Sender("after")
-        refine = rospy.ServiceProxy("/after/registration/refine_pose", RefinePose)
-        stamps = [rospy.Time(100, 100000000 * k) for k in range(EXPOSURES)]
-        for k, (stamp, exposure) in enumerate(zip(stamps, self.exposures)):
-            request = RefinementRequest(seed=shifted(exposure.truth, 0.001, 0.001, -0.001), stamp=stamp)
-            if k == 2:
-                later = threading.Timer(0.1, sender.send, (exposure, stamp))
-                later.start()
-                result = refine(request).result
-                later.join()
-            elif k == 3:
-                sender.send(exposure, stamp, DETECTORS[:1])
-                result = refine(request).result
-            else:
-                sender.send(exposure, stamp)
-                if k == 4:
-                    request.seed.position.x = float("nan")
-                result = refine(request).result
-                if k == 1:
-                    self.assertEqual(refine(request).result.status, RefinementResult.SUCCESS)
-            self.assertEqual(answers.wait(k + 1)[k].result, result)
-        for k, message in enumerate(answers.messages):
-            if k == 3:
-                self.check_failed(message, stamps[k], RefinementResult.NO_EXPOSURE, "detector_b/image_raw")
-            elif k == 4:
-                self.check_failed(message, stamps[k], RefinementResult.INVALID, "nan")
-            else:
-                self.check_refined(message, stamps[k], self.exposures[k], "tracking_and_registration")
-        # Of what nobody keeps, or of the latest whatever it is, nothing is published.
-        self.assertEqual(refine(RefinementRequest(seed=self.exposures[-1].truth)).result.status,
-                         RefinementResult.SUCCESS)
-        self.assertEqual(len(answers.messages), EXPOSURES)
+    def test_forgets_nothing_because_of_the_future(self):
+        sender = Sender("sequence")
+        refine = rospy.ServiceProxy("/sequence/registration/refine_pose", RefinePose)
+        now = rospy.Time.now().secs
+        exposure = self.exposures[0]
+        for stamp in (now, 4294967295, now + 1):
+            sender.send(exposure, rospy.Time(stamp))
+        request = RefinementRequest(seed=exposure.truth)
+        for stamp in (now, now + 1):
+            request.stamp = rospy.Time(stamp)
+            self.assertEqual(refine(request).result.status, RefinementResult.SUCCESS)
+        request.stamp = rospy.Time(4294967295)
+        result = refine(request).result
+        self.assertEqual(result.status, RefinementResult.NO_EXPOSURE)
+        self.assertIn("no exposure at 4294967295", result.reason)
 
     def test_no_volume(self):
         refine = rospy.ServiceProxy("/no_volume/registration/refine_pose", RefinePose)
@@ -114,8 +120,9 @@ class MethodsTest(RegistrationTestCase):
         sender = Sender("no_volume")
         exposure = self.exposures[0]
         sender.send(exposure, rospy.Time(100))
-        self.check_failed(answers.wait(1)[0], rospy.Time(100), RefinementResult.NO_VOLUME, "ct is absent")
         request = RefinementRequest(seed=exposure.truth, stamp=rospy.Time(100))
+        refine(request)
+        self.check_failed(answers.wait(1)[0], rospy.Time(100), RefinementResult.NO_VOLUME, "ct is absent")
         with tempfile.TemporaryDirectory() as folder:
             self.assertFalse(load(not_a_volume(folder)).success)
             result = refine(request).result
@@ -205,5 +212,5 @@ class MethodsTest(RegistrationTestCase):
 
 
 if __name__ == "__main__":
-    rospy.init_node("methods_test")
-    rostest.rosrun("xray_tracking_registration", "methods", MethodsTest)
+    rospy.init_node("sequences_test")
+    rostest.rosrun("xray_tracking_registration", "sequences", SequencesTest)

@@ -1,0 +1,56 @@
+#include "xray_tracking_core/sequence/stamp_policy.h"
+
+#include <iomanip>
+#include <sstream>
+
+namespace xray_tracking
+{
+namespace
+{
+std::string seconds(std::int64_t nanoseconds)
+{
+  constexpr std::int64_t kPerSecond = 1000000000;
+  std::ostringstream text;
+  text << nanoseconds / kPerSecond << '.' << std::setw(9) << std::setfill('0') << nanoseconds % kPerSecond << " s";
+  return text.str();
+}
+}  // namespace
+
+StampPolicy::Verdict StampPolicy::take(std::int64_t stamp_ns, std::int64_t now_ns)
+{
+  stamp_ = stamp_ns;
+  if (now_ns != 0 && stamp_ns - now_ns > kJump)
+  {
+    compared_ = now_ns;
+    return verdict_ = Verdict::FUTURE;
+  }
+  if (last_ && stamp_ns <= *last_)
+  {
+    compared_ = *last_;
+    if (*last_ - stamp_ns <= kJump)
+    {
+      return verdict_ = Verdict::REPEATED_OR_LATE;
+    }
+    last_ = stamp_ns;
+    return verdict_ = Verdict::RESTART;
+  }
+  last_ = stamp_ns;
+  return verdict_ = Verdict::ACCEPT;
+}
+
+std::string StampPolicy::why() const
+{
+  switch (verdict_)
+  {
+    case Verdict::FUTURE:
+      return "the stamp " + seconds(stamp_) + " is " + seconds(stamp_ - compared_) + " in the future, expected " +
+             seconds(kJump) + " at most (the clock is at " + seconds(compared_) + ")";
+    case Verdict::REPEATED_OR_LATE:
+      return "the stamp " + seconds(stamp_) + " is not newer than the last one, " + seconds(compared_);
+    case Verdict::RESTART:
+      return "time went back from " + seconds(compared_) + " to " + seconds(stamp_);
+    default:
+      return std::string();
+  }
+}
+}  // namespace xray_tracking

@@ -1,0 +1,241 @@
+// Every exposure is answered, the one that a new template is learnt on by the old one.
+
+#include "xray_tracking_hyperplane_tracker/view_tracker.h"
+
+#include <memory>
+#include <optional>
+#include <string>
+
+#include <gtest/gtest.h>
+
+#include "synthetic_exposure.h"
+#include "xray_tracking_hyperplane_tracker/hyperplane_tracker.h"
+#include "xray_tracking_hyperplane_tracker/template_registration.h"
+
+namespace xray_tracking
+{
+namespace
+{
+using State = ViewAnswer::State;
+using Kind = Training::Kind;
+
+const IntensityModel kCounts{ IntensityModel::Kind::COUNTS, kOffset, {} };
+const cv::Rect kRegion(70, 55, 100, 90);
+const cv::Rect kOther(90, 60, 80, 80);
+/// Five times the Cramer-Rao bound of 600 points at 1 % noise.
+constexpr double kTolerance = 0.25;
+
+cv::Mat exposeAt(const Eigen::Vector2d& place, std::uint32_t seed)
+{
+  Exposure exposure;
+  exposure.displacement = place;
+  exposure.noise = 0.01;
+  exposure.seed = seed;
+  return expose(exposure);
+}
+
+/// A tracker and its detector: exposures one after the other.
+class ViewTrackerTest : public testing::Test
+{
+protected:
+  explicit ViewTrackerTest(const std::optional<cv::Rect>& region = kRegion)
+    : tracker_(std::make_unique<HyperplaneTracker>(HyperplaneTrackerOptions(), kCounts), kCounts, 1,
+               MotionModel::TRANSLATION, false, region)
+  {
+  }
+
+  /// The exposure at a place; what is to be learnt from it is, after its answer. @return the answer
+  ViewAnswer show(const Eigen::Vector2d& place, const std::optional<Training>& training = std::nullopt)
+  {
+    return showImage(exposeAt(place, ++seed_), training);
+  }
+  ViewAnswer showImage(const cv::Mat& image, const std::optional<Training>& training = std::nullopt)
+  {
+    const ViewAnswer answer = tracker_.answer(image, ++stamp_, training);
+    outcome_ = training ? tracker_.learn(image) : std::string();
+    return answer;
+  }
+
+  static void expectTracked(const ViewAnswer& answer, std::int64_t reference, const cv::Rect& region,
+                            const Eigen::Vector2d& displacement)
+  {
+    EXPECT_EQ(State::TRACKING, answer.state) << answer.fault;
+    EXPECT_EQ("", answer.fault);
+    EXPECT_EQ(reference, answer.reference_stamp_ns);
+    EXPECT_EQ(region, answer.region);
+    EXPECT_LT((answer.motion.displacement - displacement).norm(), kTolerance)
+        << answer.motion.displacement.transpose() << " for " << displacement.transpose();
+  }
+
+  static cv::Mat blind()
+  {
+    cv::Mat image(exposeAt({ 0.0, 0.0 }, 1).size(), CV_16UC1);
+    cv::theRNG().state = 1;
+    cv::randn(image, kOffset + 20.0, 3.0);
+    return image;
+  }
+
+  /// Upside down: without the region.
+  static cv::Mat turned(std::uint32_t seed)
+  {
+    cv::Mat image;
+    cv::flip(exposeAt({ 0.0, 0.0 }, seed), image, 0);
+    return image;
+  }
+
+  ViewTracker tracker_;
+  std::int64_t stamp_ = 0;
+  std::uint32_t seed_ = 0;
+  std::string outcome_;  ///< of the last training
+};
+
+class UnconfiguredViewTrackerTest : public ViewTrackerTest
+{
+protected:
+  UnconfiguredViewTrackerTest() : ViewTrackerTest(std::nullopt) {}
+};
+
+TEST_F(ViewTrackerTest, switchesTemplatesWithoutAGap)
+{
+  expectTracked(show({ 0.0, 0.0 }), 1, kRegion, { 0.0, 0.0 });
+  expectTracked(show({ 3.0, -2.0 }), 1, kRegion, { 3.0, -2.0 });
+
+  expectTracked(show({ 5.0, 1.0 }, Training{ Kind::REGION, kOther }), 1, kRegion, { 5.0, 1.0 });
+  EXPECT_EQ("", outcome_);
+  expectTracked(show({ 6.5, 3.0 }), 3, kOther, { 1.5, 2.0 });
+
+  expectTracked(show({ 8.0, 2.0 }, Training{ Kind::ANEW, {} }), 3, kOther, { 3.0, 1.0 });
+  EXPECT_EQ("", outcome_);
+  expectTracked(show({ 7.0, 0.0 }), 5, kRegion, { -1.0, -2.0 });
+
+  // The predictors alone: the reference stays.
+  expectTracked(show({ 6.0, 0.5 }, Training{ Kind::AGAIN, {} }), 5, kRegion, { -2.0, -1.5 });
+  EXPECT_EQ("", outcome_);
+  expectTracked(show({ 4.0, 1.0 }), 5, kRegion, { -4.0, -1.0 });
+}
+
+TEST_F(ViewTrackerTest, keepsTheTemplateWhereTrainingFails)
+{
+  expectTracked(show({ 0.0, 0.0 }), 1, kRegion, { 0.0, 0.0 });
+  expectTracked(show({ 1.0, 2.0 }, Training{ Kind::REGION, { 200, 55, 1000, 90 } }), 1, kRegion, { 1.0, 2.0 });
+  EXPECT_NE(std::string::npos, outcome_.find("1000 x 90 at (200, 55)")) << outcome_;
+  expectTracked(show({ 2.0, 3.0 }), 1, kRegion, { 2.0, 3.0 });
+
+  // A region without contrast beside the one in use.
+  cv::Mat image = exposeAt({ 2.5, 3.5 }, 77);
+  image(cv::Rect(0, 0, 40, 40)) = 20000;
+  expectTracked(showImage(image, Training{ Kind::REGION, { 5, 5, 30, 30 } }), 1, kRegion, { 2.5, 3.5 });
+  EXPECT_NE(std::string::npos, outcome_.find("contrast")) << outcome_;
+  expectTracked(show({ 3.0, 4.0 }), 1, kRegion, { 3.0, 4.0 });
+
+  // An exposure that shows nothing to learn from.
+  for (const Kind kind : { Kind::REGION, Kind::AGAIN, Kind::ANEW })
+  {
+    const ViewAnswer answer = showImage(blind(), Training{ kind, kOther });
+    EXPECT_EQ(State::BLIND, answer.state);
+    EXPECT_EQ(1, answer.reference_stamp_ns);
+    EXPECT_EQ(answer.fault, outcome_);
+    EXPECT_NE("", outcome_);
+    expectTracked(show({ 3.5, 4.0 }), 1, kRegion, { 3.5, 4.0 });
+  }
+}
+
+TEST_F(ViewTrackerTest, learnsWhereTheOldTemplateIsLost)
+{
+  expectTracked(show({ 0.0, 0.0 }), 1, kRegion, { 0.0, 0.0 });
+  for (const Kind kind : { Kind::REGION, Kind::ANEW })
+  {
+    const cv::Rect learnt = kind == Kind::REGION ? kOther : kRegion;
+    const std::int64_t old = tracker_.referenceStamp();
+    const ViewAnswer answer =
+        showImage(kind == Kind::REGION ? turned(++seed_) : exposeAt({ 1.0, 1.0 }, ++seed_), Training{ kind, kOther });
+    EXPECT_EQ(State::LOST, answer.state);
+    EXPECT_EQ(old, answer.reference_stamp_ns);
+    EXPECT_NE("", answer.fault);
+    EXPECT_EQ("", outcome_);
+    const std::int64_t reference = stamp_;
+    if (kind == Kind::REGION)
+    {
+      expectTracked(showImage(turned(++seed_)), reference, learnt, { 0.0, 0.0 });
+    }
+    else
+    {
+      expectTracked(show({ 2.5, 2.0 }), reference, learnt, { 1.5, 1.0 });
+    }
+  }
+  // What is lost has no predictors to learn anew.
+  EXPECT_EQ(State::LOST, showImage(turned(++seed_), Training{ Kind::AGAIN, {} }).state);
+  EXPECT_NE(std::string::npos, outcome_.find("lost")) << outcome_;
+}
+
+TEST_F(ViewTrackerTest, learnsWhereBladesCoverTheOldTemplate)
+{
+  const auto with_blades = [this](const Eigen::Vector2d& place)
+  {
+    cv::Mat image = exposeAt(place, ++seed_);
+    cv::Mat covered = image.colRange(0, 130);
+    covered = covered / 200 + 5;
+    return image;
+  };
+  const cv::Rect beside(140, 60, 60, 80);
+  expectTracked(show({ 0.0, 0.0 }), 1, kRegion, { 0.0, 0.0 });
+  const ViewAnswer answer = showImage(with_blades({ 0.5, 0.5 }), Training{ Kind::REGION, beside });
+  EXPECT_EQ(State::BLIND, answer.state) << answer.fault;
+  EXPECT_EQ(1, answer.reference_stamp_ns);
+  EXPECT_EQ("", outcome_);
+  expectTracked(showImage(with_blades({ 2.0, 1.5 })), 2, beside, { 1.5, 1.0 });
+}
+
+TEST_F(ViewTrackerTest, anImageThatCannotBeReadIsALossAndNoMore)
+{
+  EXPECT_EQ(State::UNTRAINED, tracker_.answerUnreadable("rgb8").state);
+  expectTracked(show({ 0.0, 0.0 }), 1, kRegion, { 0.0, 0.0 });
+  const ViewAnswer answer = tracker_.answerUnreadable("rgb8");
+  EXPECT_EQ(State::LOST, answer.state);
+  EXPECT_EQ("rgb8", answer.fault);
+  EXPECT_TRUE(answer.error);
+  expectTracked(show({ 1.0, 0.0 }), 1, kRegion, { 1.0, 0.0 });
+}
+
+TEST_F(UnconfiguredViewTrackerTest, theFirstTemplateAnswersTheExposureThatItIsLearntOn)
+{
+  EXPECT_EQ(State::UNTRAINED, show({ 0.0, 0.0 }).state);
+  EXPECT_EQ(State::UNTRAINED, show({ 0.0, 0.0 }, Training{ Kind::REGION, { 200, 55, 1000, 90 } }).state);
+  EXPECT_NE("", outcome_);
+  EXPECT_EQ(State::UNTRAINED, show({ 0.0, 0.0 }, Training{ Kind::AGAIN, {} }).state);
+  EXPECT_NE(std::string::npos, outcome_.find("untrained")) << outcome_;
+
+  const ViewAnswer first = show({ 2.0, 1.0 }, Training{ Kind::REGION, kRegion });
+  EXPECT_EQ("", outcome_);
+  EXPECT_EQ(Eigen::Vector2d::Zero(), first.motion.displacement);
+  expectTracked(first, 4, kRegion, { 0.0, 0.0 });
+  expectTracked(show({ 3.0, 3.0 }), 4, kRegion, { 1.0, 2.0 });
+
+  // All is forgotten, after its last answer.
+  expectTracked(show({ 4.0, 3.0 }, Training{ Kind::ANEW, {} }), 4, kRegion, { 2.0, 2.0 });
+  EXPECT_EQ("", outcome_);
+  const ViewAnswer forgotten = show({ 4.0, 4.0 });
+  EXPECT_EQ(State::UNTRAINED, forgotten.state);
+  EXPECT_EQ(0, forgotten.reference_stamp_ns);
+  EXPECT_EQ(cv::Rect(), forgotten.region);
+}
+
+TEST_F(ViewTrackerTest, anotherRunLearnsTheSameRegionAnew)
+{
+  show({ 0.0, 0.0 }, Training{ Kind::REGION, kOther });
+  expectTracked(show({ 1.0, 1.0 }), 1, kOther, { 1.0, 1.0 });
+  tracker_.startAnew();
+  expectTracked(show({ 5.0, 5.0 }), 3, kOther, { 0.0, 0.0 });
+  expectTracked(show({ 6.0, 4.0 }), 3, kOther, { 1.0, -1.0 });
+}
+
+TEST(ViewTrackerOfTemplateRegistrationTest, saysThatItLearnsNothingAgain)
+{
+  ViewTracker tracker(std::make_unique<TemplateRegistration>(TemplateRegistrationOptions(), kCounts), kCounts, 1,
+                      MotionModel::TRANSLATION, false, kRegion);
+  const cv::Mat image = exposeAt({ 0.0, 0.0 }, 1);
+  EXPECT_EQ(State::TRACKING, tracker.answer(image, 1, Training{ Kind::AGAIN, {} }).state);
+  EXPECT_NE(std::string::npos, tracker.learn(image).find("does not learn"));
+}
+}  // namespace
+}  // namespace xray_tracking

@@ -1,0 +1,58 @@
+#include "xray_tracking_registration/sequence_registration.h"
+
+#include <stdexcept>
+#include <utility>
+
+namespace xray_tracking
+{
+namespace
+{
+/// Of a start from the last believed pose: half of what the vertebrae of a neck are apart [mm].
+constexpr double kSameVertebra = 9.0;
+constexpr std::int64_t kShortly = 5000000000;  // after a believed pose, nobody has been set up anew [ns]
+}  // namespace
+
+void SequenceRegistration::setRegistration(std::shared_ptr<const Registration> registration)
+{
+  if (registration_ != registration)
+  {
+    registration_ = std::move(registration);
+    forget();
+  }
+}
+
+void SequenceRegistration::forget()
+{
+  target_from_rest_ = RigidTransform::Identity();
+  believed_.reset();
+}
+
+bool SequenceRegistration::followsFromBelieved(const RigidTransform& start, std::int64_t stamp_ns) const
+{
+  if (!believed_)
+  {
+    return false;
+  }
+  const std::int64_t since = stamp_ns - believed_->stamp_ns;
+  const double moved = (start * target_centre_ - believed_->room_from_patient * target_centre_).norm();
+  return since >= 0 && since <= kShortly && moved < kSameVertebra;
+}
+
+RegistrationResult SequenceRegistration::run(RegistrationRequest request, std::optional<std::int64_t> stamp_ns,
+                                             bool unverified)
+{
+  if (!registration_)
+  {
+    throw std::logic_error("SequenceRegistration::run without a registration");
+  }
+  request.target_from_rest = target_from_rest_;
+  request.start_verified = stamp_ns && !unverified && followsFromBelieved(request.room_from_patient, *stamp_ns);
+  RegistrationResult result = registration_->run(request);
+  if (stamp_ns && result.status == RegistrationStatus::SUCCESS)
+  {
+    target_from_rest_ = result.target_from_rest;
+    believed_ = BelievedPose{ result.room_from_patient, *stamp_ns };
+  }
+  return result;
+}
+}  // namespace xray_tracking

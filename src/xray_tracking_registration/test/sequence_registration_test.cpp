@@ -1,0 +1,137 @@
+// What is carried from one exposure to the next, and what is not.
+
+#include "xray_tracking_registration/sequence_registration.h"
+
+#include <stdexcept>
+
+#include <gtest/gtest.h>
+
+#include "phantom_exposures.h"
+#include "xray_tracking_core/evaluation/evaluation.h"
+
+namespace xray_tracking
+{
+namespace
+{
+constexpr std::int64_t kSecond = 1000000000;
+constexpr double kLimit = 0.3;  // the phantom's registrations are good to 0.1 mm
+
+const PhantomExposures& phantom()
+{
+  return PhantomExposures::instance();
+}
+
+std::shared_ptr<const Registration> registration()
+{
+  static const auto shared = std::make_shared<const Registration>(phantom().bodies(), phantom().targetBox());
+  return shared;
+}
+
+class SequenceRegistrationTest : public testing::Test
+{
+protected:
+  SequenceRegistrationTest() : sequence_(phantom().centre()) { sequence_.setRegistration(registration()); }
+
+  /// An exposure of the target at an offset [mm], with the start where the offset `from` puts it.
+  RegistrationRequest expose(const Eigen::Vector3d& offset, const Eigen::Vector3d& from)
+  {
+    const RigidTransform at_rest = phantom().roomFromPatient();
+    RegistrationRequest request = phantom().expose(Eigen::Translation3d(offset) * at_rest,
+                                                   Eigen::Translation3d(offset + rest_) * at_rest, random_);
+    request.room_from_patient = Eigen::Translation3d(from) * at_rest;
+    return request;
+  }
+
+  double error(const RegistrationResult& result, const Eigen::Vector3d& offset) const
+  {
+    return targetRegistrationError(result.room_from_patient, Eigen::Translation3d(offset) * phantom().roomFromPatient(),
+                                   phantom().targetBox());
+  }
+
+  /// Whether a result is of a verified start: then no coarse views are laid out.
+  static bool verified(const RegistrationResult& result) { return result.views.front().coarse_similarity == 0.0; }
+
+  RegistrationResult runAt(std::int64_t stamp_ns, const Eigen::Vector3d& offset, const Eigen::Vector3d& from,
+                           bool unverified = false)
+  {
+    RegistrationResult result = sequence_.run(expose(offset, from), stamp_ns, unverified);
+    EXPECT_EQ(RegistrationStatus::SUCCESS, result.status) << result.reason;
+    EXPECT_LT(error(result, offset), kLimit);
+    return result;
+  }
+
+  Eigen::Vector3d rest_{ 1.5, -1.0, 2.0 };  ///< of the rest's motion against the target's [mm]
+  std::mt19937 random_{ 1 };
+  SequenceRegistration sequence_;
+};
+
+TEST_F(SequenceRegistrationTest, aStartIsVerifiedByABelievedPoseShortlyBefore)
+{
+  EXPECT_FALSE(verified(runAt(10 * kSecond, { 0, 0, 0 }, { 1, 0, 0 }))) << "the first one";
+  EXPECT_TRUE(verified(runAt(11 * kSecond, { 1, 0, 1 }, { 0, 0, 0 })));
+  EXPECT_TRUE(verified(runAt(11 * kSecond, { 1, 0, 1 }, { 0, 0, 0 }))) << "asked about again";
+  EXPECT_FALSE(verified(runAt(12 * kSecond, { 1, 0, 1 }, { 0, 0, 0 }, true))) << "who asks says so";
+  EXPECT_TRUE(verified(runAt(17 * kSecond, { 0, 0, 1 }, { 1, 0, 1 })));
+  EXPECT_FALSE(verified(runAt(22 * kSecond + 1, { 0, 0, 1 }, { 0, 0, 1 }))) << "more than 5 s later";
+  EXPECT_FALSE(verified(runAt(22 * kSecond, { 0, 0, 1 }, { 0, 0, 1 }))) << "before it";
+  EXPECT_FALSE(verified(runAt(23 * kSecond, { 0, 0, 1 }, { 0, 0, 10.5 }))) << "another vertebra's start";
+  EXPECT_TRUE(verified(runAt(24 * kSecond, { 0, 0, 1 }, { 0, 0, 0 })));
+}
+
+TEST_F(SequenceRegistrationTest, theRestIsLookedForWhereItWas)
+{
+  // A run that is cancelled before its first step says where it would have begun.
+  const auto rest_at_start = [this](std::int64_t stamp_ns)
+  {
+    RegistrationRequest request = expose({ 0, 0, 0 }, { 0, 0, 0 });
+    request.progress = [](const RegistrationProgress&) { return false; };
+    const RegistrationResult result = sequence_.run(request, stamp_ns, false);
+    EXPECT_EQ(RegistrationStatus::CANCELLED, result.status);
+    return result.target_from_rest;
+  };
+  EXPECT_TRUE(rest_at_start(9 * kSecond).isApprox(RigidTransform::Identity()));
+  const RigidTransform found = runAt(10 * kSecond, { 0, 0, 0 }, { 0.5, 0, 0 }).target_from_rest;
+  EXPECT_GT(found.translation().norm(), 1.0) << "of the rest's motion by 2.7 mm";
+  EXPECT_TRUE(rest_at_start(11 * kSecond).isApprox(found)) << "and what is not believed changes nothing";
+  EXPECT_TRUE(rest_at_start(12 * kSecond).isApprox(found));
+  sequence_.forget();
+  EXPECT_TRUE(rest_at_start(13 * kSecond).isApprox(RigidTransform::Identity()));
+}
+
+TEST_F(SequenceRegistrationTest, forgetsWithAnotherRunOrAnotherCt)
+{
+  runAt(10 * kSecond, { 0, 0, 0 }, { 0, 0, 0 });
+  sequence_.setRegistration(registration());
+  EXPECT_TRUE(verified(runAt(11 * kSecond, { 0, 0, 0 }, { 0, 0, 0 }))) << "the same CT";
+  sequence_.setRegistration(std::make_shared<const Registration>(phantom().bodies(), phantom().targetBox()));
+  EXPECT_FALSE(verified(runAt(12 * kSecond, { 0, 0, 0 }, { 0, 0, 0 })));
+  sequence_.forget();
+  EXPECT_FALSE(verified(runAt(13 * kSecond, { 0, 0, 0 }, { 0, 0, 0 })));
+}
+
+TEST_F(SequenceRegistrationTest, imagesOfNoSequenceSayNothingOfIt)
+{
+  const RegistrationRequest request = expose({ 0, 0, 0 }, { 0, 0, 0 });
+  for (int i = 0; i < 2; ++i)
+  {
+    const RegistrationResult result = sequence_.run(request, std::nullopt, false);
+    EXPECT_EQ(RegistrationStatus::SUCCESS, result.status) << result.reason;
+    EXPECT_FALSE(verified(result));
+  }
+  EXPECT_FALSE(verified(runAt(10 * kSecond, { 0, 0, 0 }, { 0, 0, 0 })));
+}
+
+TEST_F(SequenceRegistrationTest, takesStampsThatAreAsFarApartAsTheyCanBe)
+{
+  EXPECT_FALSE(verified(runAt(1, { 0, 0, 0 }, { 0, 0, 0 })));
+  EXPECT_FALSE(verified(runAt(4294967295 * kSecond, { 0, 0, 0 }, { 0, 0, 0 })));
+  EXPECT_FALSE(verified(runAt(1, { 0, 0, 0 }, { 0, 0, 0 })));
+}
+
+TEST_F(SequenceRegistrationTest, needsARegistration)
+{
+  SequenceRegistration none(phantom().centre());
+  EXPECT_THROW(none.run(expose({ 0, 0, 0 }, { 0, 0, 0 }), std::nullopt, false), std::logic_error);
+}
+}  // namespace
+}  // namespace xray_tracking
