@@ -1,6 +1,7 @@
 #include "xray_tracking_motion_estimation/motion_monitor.h"
 
 #include <algorithm>
+#include <cmath>
 #include <sstream>
 #include <stdexcept>
 #include <utility>
@@ -15,6 +16,9 @@ namespace
 {
 /// Exposures that an answer may be about after its deadline; what was asked about an older one moves the poses only.
 constexpr std::size_t kDecidedCapacity = 200;
+
+/// Measured on patients: TRE below 1.2 mm in 32 %, below 2.4 mm in 82 % of the frames [mm].
+constexpr double kTissueSigma = 1.0;
 
 constexpr int kAstrayExposures = 2;              ///< in a row, before a region is learnt anew
 constexpr std::int64_t kProposals = 1000000000;  ///< between two proposals for a view [ns]
@@ -68,6 +72,27 @@ PoseMethod poseMethodFromName(const std::string& name)
                               "', expected tracking, registration or tracking_and_registration");
 }
 
+MotionMonitorOptions::MotionMonitorOptions()
+{
+  tracks.estimation.tissue_sigma = kTissueSigma;
+}
+
+void MotionMonitorOptions::derive()
+{
+  requireOption(rigid_sigma > 0.0 && std::isfinite(rigid_sigma), "consistency/rigid_sigma", rigid_sigma,
+                "a number > 0 mm");
+  requireOption(deadline >= 0.0 && deadline <= 10.0, "pose/deadline", deadline, "0 to 10 s");
+  requireOption(method == PoseMethod::TRACKING || refinement.mode != RefinementMode::NEVER, "refinement/mode",
+                "'never'", std::string("another one where method is ") + poseMethodName(method));
+  tracks.consistency.floor_sigma = tracks.estimation.floor_sigma;
+  tracks.rigid_consistency = tracks.consistency;
+  tracks.rigid_consistency.floor_sigma = rigid_sigma;
+  tracks.rigid_consistency.persistent_sigma = 0.0;
+  prediction.tissue_sigma = tracks.estimation.tissue_sigma;
+  gate.verification.registration = refinement.mode != RefinementMode::NEVER;
+  refinement.target_speed = tracks.target_speed;
+}
+
 MotionMonitor::MotionMonitor(const MotionMonitorOptions& options, const RigidTransform& room_from_patient,
                              const Eigen::Vector3d& target_centre)
   : options_(options),
@@ -80,10 +105,6 @@ MotionMonitor::MotionMonitor(const MotionMonitorOptions& options, const RigidTra
     decided_(kDecidedCapacity),
     astray_(options.tracks.views.size())
 {
-  requireInRange("deadline", options.deadline, 0.0, 10.0);
-  requireOption(options.method == PoseMethod::TRACKING || options.refinement.mode != RefinementMode::NEVER, "method",
-                "that of registered poses",
-                "tracking, as the refinement's mode is never");
 }
 
 void MotionMonitor::onExposure(TrackedExposure exposure, std::int64_t now)

@@ -26,13 +26,12 @@ protected:
     options.method = PoseMethod::TRACKING_AND_REGISTRATION;
     options.tracks.views = { "detector_a", "detector_b" };
     options.refinement.mode = RefinementMode::EVERY_FRAME;
-    options.gate.verification.registration = true;
     options.gate.max_displacement = 100.0;
-    options.tracks.estimation.tissue_sigma = 1.0;
   }
 
   void start()
   {
+    options.derive();
     monitor.emplace(options, initialPose(), scene.targetCentre());
     monitor->tracks().setGeometry(geometriesOf(scene.views), TargetShape::isotropic(scene.targetCentre()));
     trained.assign(2, { stamp + kInterval, Eigen::Vector3d::Zero() });

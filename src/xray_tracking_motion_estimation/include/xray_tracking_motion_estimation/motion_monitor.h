@@ -29,15 +29,23 @@ enum class PoseMethod
 PoseMethod poseMethodFromName(const std::string& name);
 const char* poseMethodName(PoseMethod method);
 
+/// The members' defaults but for what patients ask for; as the node's parameters.
 struct MotionMonitorOptions
 {
+  MotionMonitorOptions();
+
   PoseMethod method = PoseMethod::TRACKING;
-  /// How long an exposure waits, from when it was tracked, for its registered pose [s], >= 0.
+  /// How long an exposure waits, from when it was tracked, for its registered pose [s], 0 to 10.
   double deadline = 0.1;
   ExposureEstimatorOptions tracks;
+  double rigid_sigma = 0.027;  ///< floor of ConsistencyOptions for a rigid target, which `views_differ` follows from, > 0
   PosePredictorOptions prediction;
   BeamGateOptions gate;
   RefinementPolicyOptions refinement;
+
+  /// Sets what follows from other members: what the consistency monitors, the prediction, the gate and the refinement
+  /// have to know of the rest. @throws std::invalid_argument naming the key, its value and what was expected
+  void derive();
 };
 
 /// Where a published pose comes from; values as in xray_tracking_msgs/PatientMotion.
