@@ -1,5 +1,5 @@
 #!/usr/bin/python3
-"""Tracking with the registration behind it: poses follow what it finds, and go on as they are if it refuses."""
+"""Poses on tf are those of the registration, and tracked ones where it refuses."""
 import os
 import sys
 
@@ -10,12 +10,13 @@ import rostest
 import yaml
 
 sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
-from graph_test_case import DETECTORS, GraphTestCase, matrix, target_registration_error_mm  # noqa: E402
+from graph_test_case import DETECTORS, GraphTestCase  # noqa: E402
 from xray_tracking_msgs.msg import PatientMotion, RefinedPose, RefinementResult  # noqa: E402
 
 EXPOSURES = 30
-# Tracking of translations alone is 0.47 mm off in the median: the target's box is turned by up to 2 degrees.
-REFINED_MEDIAN_MM, REFINED_MAX_MM = 0.2, 0.5
+# Tracking of translations alone is 0.47 mm off in the median: the target's box is turned by up to 2 degrees. Registered
+# poses were 0.058 / 0.087 mm in the median and at most.
+MEDIAN_MM, P95_MM = 0.10, 0.15
 
 
 class RefinementTest(GraphTestCase):
@@ -37,28 +38,23 @@ class RefinementTest(GraphTestCase):
             self.assertEqual(motion.state, PatientMotion.OK, f"{stamp}: {motion.reason}")
         self.assertEqual(sorted(refined), sorted(self.gold))
         errors = self.errors_mm(self.box)
-        print(f"tracking: TRE mm: median {np.median(errors[1:]):.3f}, max {errors.max():.3f}")
+        print(f"published: TRE mm: median {np.median(errors[1:]):.3f}, max {errors.max():.3f}")
         getattr(self, sys.argv[1])(refined, errors)
 
     def accepted(self, refined, errors):
         for stamp, message in refined.items():
             self.assertEqual(message.result.status, RefinementResult.SUCCESS, f"{stamp}: {message.result.reason}")
-        registered = [target_registration_error_mm(matrix(refined[stamp].result.pose.pose.position,
-                                                          refined[stamp].result.pose.pose.orientation),
-                                                   self.gold[stamp], self.box) for stamp in sorted(self.gold)]
-        print(f"registered: TRE mm: median {np.median(registered[1:]):.3f}, max {max(registered):.3f}")
-        self.assertLessEqual(np.median(registered[1:]), REFINED_MEDIAN_MM)
-        self.assertLessEqual(max(registered), REFINED_MAX_MM)
-        # Tracking goes on from the refined exposures, so that it is as good between them.
-        self.assertLessEqual(np.median(errors[1:]), 0.3)
-        self.assertLessEqual(errors.max(), 0.7)
-        self.assertGreater(len(self.verified()), 0.8 * EXPOSURES)
-        self.wait_for(lambda: self.refinements("accepted") >= 0.8 * EXPOSURES, 10.0,
-                      "most of the refinements are accepted")
+            self.assertEqual(self.motions[stamp].source, PatientMotion.REGISTERED, self.motions[stamp].not_registered)
+        self.assertLessEqual(np.median(errors[1:]), MEDIAN_MM)
+        self.assertLessEqual(np.percentile(errors[1:], 95), P95_MM)
+        self.assertEqual(len(self.verified()), EXPOSURES)
+        self.wait_for(lambda: self.refinements("accepted") == EXPOSURES, 10.0, "all refinements are accepted")
 
     def refused(self, refined, errors):
         for stamp, message in refined.items():
             self.assertEqual(message.result.status, RefinementResult.UNRELIABLE, f"{stamp}: {message.result.reason}")
+            self.assertEqual(self.motions[stamp].source, PatientMotion.TRACKED)
+            self.assertIn("probability", self.motions[stamp].not_registered)
         self.wait_for(lambda: self.refinements("refused") == EXPOSURES, 10.0, "all refinements are refused")
         self.assertEqual(self.refinements("accepted"), 0)
         self.assertIn("probability", self.diagnosis["last refusal"])

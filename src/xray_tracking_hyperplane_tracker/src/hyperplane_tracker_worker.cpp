@@ -105,12 +105,11 @@ void HyperplaneTrackerRos::configure()
     {
       throw std::invalid_argument(configuration_fault_);
     }
-    configured_region_ = parameters_.region;
     if (!parameters_.setup_file.empty())
     {
       const TreatmentSetup setup = loadTreatmentSetup(parameters_.setup_file);
       intensity_ = setup.intensity;
-      if (configured_region_ && !hasDetector(setup, parameters_.detector))
+      if (parameters_.region && !hasDetector(setup, parameters_.detector))
       {
         ROS_WARN_STREAM(pnh_.getNamespace() << ": " << parameters_.setup_file << " has no detector '"
                                             << parameters_.detector << "', so its pixels are taken to be "
@@ -118,7 +117,7 @@ void HyperplaneTrackerRos::configure()
       }
       else
       {
-        adoptGeometry(setup);
+        parameters_.adopt(setup);
       }
     }
     makeTracker();
@@ -129,22 +128,6 @@ void HyperplaneTrackerRos::configure()
     ROS_ERROR_STREAM(pnh_.getNamespace() << " tracks nothing: " << configuration_fault_);
     const std::lock_guard<std::mutex> lock(snapshot_mutex_);
     snapshot_.fault = configuration_fault_;
-  }
-}
-
-void HyperplaneTrackerRos::adoptGeometry(const TreatmentSetup& setup)
-{
-  const ProjectionGeometry& geometry = setup.detector(parameters_.detector);
-  const double magnification = geometry.magnification(setup.room_from_patient * setup.targetCentre());
-  if (!(magnification > 0.0))
-  {
-    throw std::invalid_argument("the target is not in front of the source of " + geometry.name());
-  }
-  parameters_.scaleTo(geometry.pixelPitch().mean() / magnification);
-  const auto given = setup.regions.find(parameters_.detector);
-  if (!configured_region_)
-  {
-    configured_region_ = given != setup.regions.end() ? given->second : projectedTargetRegion(setup, geometry);
   }
 }
 
@@ -164,7 +147,7 @@ void HyperplaneTrackerRos::makeTracker()
     tracker = std::move(registration);
   }
   tracker_.emplace(std::move(tracker), intensity_, parameters_.tracker.reduction, parameters_.tracker.model,
-                   parameters_.model_by_data, configured_region_);
+                   parameters_.model_by_data, parameters_.region);
 }
 
 void HyperplaneTrackerRos::adoptSettings()

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <map>
+#include <stdexcept>
 #include <string>
 
 #include "xray_tracking_conversions/parameters.h"
@@ -60,6 +61,22 @@ void TrackerParameters::scaleTo(double pixel)
   tracker.convergence = convergence / unit;
   tracker.max_predicted_sd = max_predicted_sd / unit;
   registration.range = std::clamp(registration_range / pixel, 1.0, 200.0);
+}
+
+void TrackerParameters::adopt(const TreatmentSetup& setup)
+{
+  const ProjectionGeometry& geometry = setup.detector(detector);
+  const double magnification = geometry.magnification(setup.room_from_patient * setup.targetCentre());
+  if (!(magnification > 0.0))
+  {
+    throw std::invalid_argument("the target is not in front of the source of " + geometry.name());
+  }
+  scaleTo(geometry.pixelPitch().mean() / magnification);
+  const auto given = setup.regions.find(detector);
+  if (!region)
+  {
+    region = given != setup.regions.end() ? given->second : projectedTargetRegion(setup, geometry);
+  }
 }
 
 void TrackerParameters::validate() const

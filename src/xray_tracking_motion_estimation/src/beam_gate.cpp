@@ -101,7 +101,8 @@ BeamGate::Verdict BeamGate::judge(const GateExposure& exposure) const
   {
     return { exposure.fault, exposure.text.empty() ? "no pose" : exposure.text };
   }
-  if (!exposure.displacement.allFinite() || !std::isfinite(exposure.rotation) || !exposure.covariance.allFinite())
+  if (!exposure.displacement.allFinite() || !std::isfinite(exposure.rotation) ||
+      !std::isfinite(exposure.rotation_variance) || !exposure.covariance.allFinite())
   {
     return { GateReason::NOT_MEASURED, "the pose is not finite" };
   }
@@ -125,12 +126,12 @@ BeamGate::Verdict BeamGate::judge(const GateExposure& exposure) const
   {
     return { GateReason::UNCERTAIN, exposure.doubt };
   }
-  return judgePlace(exposure.displacement, exposure.rotation);
+  return { GateReason::NONE, "" };
 }
 
 BeamGate::Verdict BeamGate::judgeSpeed(const GateExposure& exposure) const
 {
-  if (last_place_)
+  if (last_place_ && !exposure.registered)
   {
     // Over a longer time than exposures stay young, nothing vouches for the way in between.
     const double elapsed = seconds(std::min(exposure.stamp - last_place_->first, maxAge()));
@@ -144,13 +145,15 @@ BeamGate::Verdict BeamGate::judgeSpeed(const GateExposure& exposure) const
   return { GateReason::NONE, "" };
 }
 
-BeamGate::Verdict BeamGate::judgePlace(const Eigen::Vector3d& displacement, double rotation) const
+BeamGate::Verdict BeamGate::judgePlace() const
 {
-  if (displacement.norm() > options_.max_displacement || rotation > options_.max_rotation)
+  const double distance = displacement_.norm();
+  if (distance > options_.max_displacement || std::hypot(rotation_, std::sqrt(rotation_variance_)) > options_.max_rotation)
   {
     return { GateReason::DISPLACED,
-             compose("the target is displaced by ", displacement.norm(), " mm and turned by ", rotation,
-                     " rad, expected at most ", options_.max_displacement, " mm and ", options_.max_rotation, " rad") };
+             compose("the target is displaced by ", distance, " mm and turned by ", rotation_, " rad, known to ",
+                     std::sqrt(rotation_variance_), " rad, expected at most ", options_.max_displacement, " mm and ",
+                     options_.max_rotation, " rad") };
   }
   return { GateReason::NONE, "" };
 }
@@ -179,7 +182,7 @@ bool BeamGate::update(const GateExposure& exposure)
   last_exposed_ = exposure.arrival - exposure.delay;
   verification_.update(exposure.stamp, usualInterval());
 
-  const Verdict verdict = judge(exposure);
+  Verdict verdict = judge(exposure);
   const bool measured = exposure.fault == GateReason::NONE && verdict.reason != GateReason::NOT_MEASURED;
   if (measured)
   {
@@ -190,7 +193,17 @@ bool BeamGate::update(const GateExposure& exposure)
     }
     displacement_ = exposure.displacement;
     rotation_ = exposure.rotation;
+    rotation_variance_ = std::max(0.0, exposure.rotation_variance);
     last_place_.emplace(exposure.stamp, exposure.displacement);
+    if (exposure.registered)
+    {
+      jump_.reset();
+      verification_.confirm(exposure.stamp);
+    }
+    if (verdict.reason == GateReason::NONE)
+    {
+      verdict = judgePlace();
+    }
   }
 
   // A missing exposure is a missed chance to see that something is wrong, if it is missing for long.
@@ -229,7 +242,7 @@ bool BeamGate::tick(std::int64_t now)
                                              seconds(maxAge()), " s") });
 }
 
-bool BeamGate::refined(std::int64_t stamp, const Eigen::Vector3d& correction, double rotation, bool tracked)
+bool BeamGate::refined(std::int64_t stamp, const Eigen::Vector3d& correction, double rotation)
 {
   displacement_ += correction;
   rotation_ = rotation;
@@ -242,16 +255,8 @@ bool BeamGate::refined(std::int64_t stamp, const Eigen::Vector3d& correction, do
     jump_.reset();
     good_ = 0;
   }
-  if (tracked)
-  {
-    verification_.confirm(stamp);
-  }
-  else
-  {
-    verification_.doubt("the registration alone has found the target again, which it has to confirm once more");
-    good_ = 0;
-  }
-  const Verdict verdict = judgePlace(displacement_, rotation_);
+  verification_.confirm(stamp);
+  const Verdict verdict = judgePlace();
   if (!open() || verdict.reason == GateReason::NONE)
   {
     return reviewVerification();
@@ -295,6 +300,7 @@ bool BeamGate::reset(const std::string& why)
   intervals_.clear();
   displacement_.setZero();
   rotation_ = 0.0;
+  rotation_variance_ = 0.0;
   good_ = 0;
   jump_.reset();
   verification_.restart();

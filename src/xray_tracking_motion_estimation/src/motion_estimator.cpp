@@ -47,7 +47,7 @@ EstimationMethod estimationMethodFromName(const std::string& name)
   {
     return EstimationMethod::LEAST_SQUARES;
   }
-  throw std::invalid_argument("method is '" + name + "', expected backprojection or least_squares");
+  throw std::invalid_argument("estimation_method is '" + name + "', expected backprojection or least_squares");
 }
 
 void MotionEstimationOptions::validate() const

@@ -13,6 +13,19 @@ namespace xray_tracking
 {
 namespace
 {
+// Registrations in a row that agree with each other.
+constexpr int kChainWithoutTracks = 2;
+constexpr int kChainAgainstTracks = 3;
+
+constexpr double kSigmas = 3.0;
+/// What two registrations of the same target are apart by that their covariances do not know of: twice the p95 of the
+/// field's best figures [mm].
+constexpr double kRegistrationSpread = 0.7;
+
+/// Of a correlation coefficient of 0.9 over 4000 independent pixels, (1 - r^2) / sqrt(n): two poses that differ by less
+/// are equally similar.
+constexpr double kSimilarityNoise = 0.003;
+
 template <typename... Parts>
 std::string compose(const Parts&... parts)
 {
@@ -58,13 +71,13 @@ void RefinementPolicyOptions::validate() const
   const auto positive = [&](const char* key, double value, const char* unit)
   { require(value > 0.0 && std::isfinite(value), key, value, unit); };
   require(every_n >= 1, "every_n", every_n, "1 or more exposures");
-  require(queue_size >= 1, "queue_size", queue_size, "1 or more exposures");
   positive("drift", drift, "a number > 0 mm");
   positive("drift_rotation", drift_rotation, "a number > 0 rad");
   positive("drift_residual", drift_residual, "a number > 0 mm");
   positive("timeout", timeout, "a number > 0 s");
   positive("max_correction", max_correction, "a number > 0 mm");
   positive("max_correction_rotation", max_correction_rotation, "a number > 0 rad");
+  require(target_speed >= 0.0 && std::isfinite(target_speed), "target_speed", target_speed, "a number >= 0 mm/s");
   require(std::isfinite(min_similarity), "min_similarity", min_similarity, "a number");
   require(significance > 0.0 && significance < 1.0, "significance", significance, "a number in (0, 1)");
 }
@@ -74,58 +87,19 @@ RigidTransform Refinement::carry(const RigidTransform& tracked_then, const Eigen
   return motionAbout(refined * target_centre, targetMotion(*tracked, tracked_then, target_centre)) * refined;
 }
 
-RefinementPolicy::RefinementPolicy(const RefinementPolicyOptions& options, const Eigen::Vector3d& target_centre,
-                                   Request request)
-  : options_(options), target_centre_(target_centre), request_(std::move(request))
+RefinementPolicy::RefinementPolicy(const RefinementPolicyOptions& options, const Eigen::Vector3d& target_centre)
+  : options_(options), target_centre_(target_centre)
 {
   options_.validate();
-  waiting_.set_capacity(options_.mode == RefinementMode::EVERY_FRAME ? options_.queue_size : 1);
 }
 
-void RefinementPolicy::onExposure(const TrackedExposure& exposure, std::int64_t now)
+bool RefinementPolicy::due(const RefinementSeed& exposure, std::int64_t now)
 {
   if (!anchor_)
   {
     anchor_ = exposure.room_from_patient;
   }
   exposures_since_request_ = std::min(exposures_since_request_ + 1, options_.every_n);
-  const bool every_frame = options_.mode == RefinementMode::EVERY_FRAME;
-  if ((pending_ && !every_frame) || !due(exposure, now))
-  {
-    return;
-  }
-  skipped_ += waiting_.full() ? 1 : 0;
-  waiting_.push_back(exposure);
-  next(now);
-  if (!every_frame)
-  {
-    waiting_.clear();  // Later exposures are as good.
-  }
-}
-
-void RefinementPolicy::next(std::int64_t now)
-{
-  if (pending_ || waiting_.empty())
-  {
-    return;
-  }
-  const TrackedExposure& exposure = waiting_.front();
-  const RefinementRequest request{ next_id_++, exposure.stamp, exposure.room_from_patient };
-  exposures_since_request_ = 0;
-  not_before_ = now + static_cast<std::int64_t>(1e9 * options_.timeout);
-  if (!request_(request))
-  {
-    ++unheard_;
-    return;
-  }
-  pending_ = Pending{ request.id, now, exposure };
-  waiting_.pop_front();
-  demanded_ = false;
-  ++requests_;
-}
-
-bool RefinementPolicy::due(const TrackedExposure& exposure, std::int64_t now) const
-{
   if (demanded_)
   {
     return true;
@@ -140,7 +114,7 @@ bool RefinementPolicy::due(const TrackedExposure& exposure, std::int64_t now) co
     {
       const Twist drift = targetMotion(*anchor_, exposure.room_from_patient, target_centre_);
       return now >= not_before_ &&
-             (!exposure.measured || drift.tail<3>().norm() > options_.drift ||
+             (!exposure.tracked || drift.tail<3>().norm() > options_.drift ||
               drift.head<3>().norm() > options_.drift_rotation || exposure.disagreement > options_.drift_residual);
     }
     case RefinementMode::NEVER:
@@ -148,6 +122,26 @@ bool RefinementPolicy::due(const TrackedExposure& exposure, std::int64_t now) co
       break;
   }
   return false;
+}
+
+RefinementRequest RefinementPolicy::ask(const RefinementSeed& exposure, bool unverified, std::int64_t now)
+{
+  if (pending_)
+  {
+    throw std::logic_error("a refinement is asked for while one is under way");
+  }
+  RefinementRequest request{ next_id_++, exposure.stamp, exposure.room_from_patient, unverified };
+  // Unless there is a pose that is newer.
+  if (!exposure.tracked && chain_ && 1e-9 * static_cast<double>(exposure.stamp - chain_->stamp) < exposure.since)
+  {
+    request.room_from_patient = chain_->refined;
+  }
+  pending_ = Pending{ request.id, now, exposure };
+  exposures_since_request_ = 0;
+  not_before_ = now + static_cast<std::int64_t>(1e9 * options_.timeout);
+  demanded_ = false;
+  ++requests_;
+  return request;
 }
 
 bool RefinementPolicy::tick(std::int64_t now)
@@ -167,47 +161,77 @@ bool RefinementPolicy::demand()
   return demanded_;
 }
 
-std::optional<Refinement> RefinementPolicy::onReply(const RefinementReply& reply)
+void RefinementPolicy::extendChain(const RefinementReply& reply, std::int64_t stamp)
+{
+  Chain chain{ stamp, reply.room_from_patient, reply.covariance, 1, 1, 0 };
+  if (chain_ && stamp > chain_->stamp)
+  {
+    const Twist way = targetMotion(chain_->refined, chain.refined, target_centre_);
+    const PoseCovariance covariance = covarianceAt(target_centre_, chain_->refined, chain_->covariance) +
+                                      covarianceAt(target_centre_, chain.refined, chain.covariance);
+    const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> axes(covariance.topLeftCorner<3, 3>(), Eigen::EigenvaluesOnly);
+    const double gone = options_.target_speed * 1e-9 * static_cast<double>(stamp - chain_->stamp);
+    const double bound = std::min(gone, options_.max_correction) +
+                         kSigmas * std::sqrt(std::max(0.0, axes.eigenvalues()[2])) + kRegistrationSpread;
+    if (way.tail<3>().norm() <= bound && way.head<3>().norm() <= options_.max_correction_rotation)
+    {
+      chain.length = std::min(chain_->length + 1, kChainWithoutTracks);
+      chain.dense = gone < options_.max_correction ? std::min(chain_->dense + 1, kChainAgainstTracks) : 1;
+      chain.against = std::min(chain_->against, kChainAgainstTracks);
+    }
+  }
+  chain_ = chain;
+}
+
+RefinementPolicy::Judgement RefinementPolicy::judge(const RefinementReply& reply)
 {
   if (!pending_ || reply.id != pending_->id)
   {
-    last_refusal_ = compose("the answer to request ", reply.id, " is for none under way");
-    last_refusal_contradicts_ = false;
-    return std::nullopt;
+    throw std::logic_error("an answer to no request under way");
   }
-  const TrackedExposure exposure = pending_->exposure;
-  pending_.reset();
-  std::string reason = fault(reply);
-  last_refusal_contradicts_ = false;
-  // Where there is no tracked pose, the registration's own word has to do.
-  if (reason.empty() && exposure.measured)
+  const RefinementSeed exposure = std::exchange(pending_, std::nullopt)->exposure;
+  Judgement judgement{ RefinementVerdict::ACCEPTED, fault(reply), std::nullopt };
+  if (!judgement.reason.empty())
   {
-    reason = contradiction(reply, exposure);
-    last_refusal_contradicts_ = !reason.empty();
+    judgement.verdict = RefinementVerdict::REFUSED;
+    chain_.reset();
   }
-  if (!reason.empty())
+  else
+  {
+    extendChain(reply, exposure.stamp);
+    judgement.reason = excess(reply, exposure, 1.0);
+    if (judgement.reason.empty() && exposure.tracked && chain_->dense < kChainAgainstTracks)
+    {
+      judgement.reason = contradiction(reply, exposure);
+    }
+    chain_->against = exposure.tracked && !judgement.reason.empty() ? chain_->against + 1 : 0;
+    if (chain_->against >= kChainAgainstTracks && excess(reply, exposure, 2.0).empty())
+    {
+      judgement.reason.clear();
+    }
+    if (!judgement.reason.empty())
+    {
+      judgement.verdict = exposure.tracked ? RefinementVerdict::CONTRADICTS : RefinementVerdict::REFUSED;
+    }
+    else if (!exposure.tracked && chain_->length < kChainWithoutTracks)
+    {
+      judgement.verdict = RefinementVerdict::UNCONFIRMED;
+      judgement.reason = "the registration alone has found the target, which the next exposure has to confirm";
+    }
+  }
+  if (judgement.verdict != RefinementVerdict::ACCEPTED)
   {
     ++refused_;
-    last_refusal_ = std::move(reason);
-    return std::nullopt;
+    last_refusal_ = judgement.reason;
+    return judgement;
   }
   ++accepted_;
   anchor_ = reply.room_from_patient;
   not_before_ = 0;
-  const auto tracked = exposure.measured ? std::make_optional(exposure.room_from_patient) : std::nullopt;
-  const Refinement refinement{ exposure.stamp, tracked, reply.room_from_patient, reply.covariance };
-  for (TrackedExposure& waiting : waiting_)
-  {
-    if (!waiting.measured)
-    {
-      waiting.room_from_patient = refinement.refined;
-    }
-    else if (tracked)
-    {
-      waiting.room_from_patient = refinement.carry(waiting.room_from_patient, target_centre_);
-    }
-  }
-  return refinement;
+  judgement.refinement =
+      Refinement{ exposure.stamp, exposure.tracked ? std::make_optional(exposure.room_from_patient) : std::nullopt,
+                  reply.room_from_patient, reply.covariance };
+  return judgement;
 }
 
 std::string RefinementPolicy::fault(const RefinementReply& reply) const
@@ -220,8 +244,8 @@ std::string RefinementPolicy::fault(const RefinementReply& reply) const
   {
     return "the refined pose, its covariance or its similarity is not finite";
   }
-
-  if (!(reply.similarity >= options_.min_similarity) || !(reply.similarity >= reply.seed_similarity))
+  if (!(reply.similarity >= options_.min_similarity) ||
+      !(reply.similarity >= reply.seed_similarity - kSimilarityNoise))
   {
     return compose("the similarity is ", reply.similarity, ", expected at least ", options_.min_similarity,
                    " and the seed's ", reply.seed_similarity);
@@ -229,38 +253,43 @@ std::string RefinementPolicy::fault(const RefinementReply& reply) const
   return std::string();
 }
 
-std::string RefinementPolicy::contradiction(const RefinementReply& reply, const TrackedExposure& exposure) const
+std::string RefinementPolicy::excess(const RefinementReply& reply, const RefinementSeed& exposure, double factor) const
 {
   const Twist correction = targetMotion(exposure.room_from_patient, reply.room_from_patient, target_centre_);
-  if (correction.tail<3>().norm() > options_.max_correction ||
-      correction.head<3>().norm() > options_.max_correction_rotation)
-  {
-    return compose("the correction is ", correction.tail<3>().norm(), " mm and ", correction.head<3>().norm(),
-                   " rad, expected at most ", options_.max_correction, " mm and ", options_.max_correction_rotation,
-                   " rad");
-  }
+  const double bound =
+      factor * options_.max_correction + (exposure.tracked ? 0.0 : options_.target_speed * exposure.since);
+  const double rotation_bound = factor * options_.max_correction_rotation;
+  return correction.tail<3>().norm() <= bound && correction.head<3>().norm() <= rotation_bound
+             ? std::string()
+             : compose("the correction is ", correction.tail<3>().norm(), " mm and ", correction.head<3>().norm(),
+                       " rad, expected at most ", bound, " mm and ", rotation_bound, " rad");
+}
+
+std::string RefinementPolicy::contradiction(const RefinementReply& reply, const RefinementSeed& exposure) const
+{
+  const Twist correction = targetMotion(exposure.room_from_patient, reply.room_from_patient, target_centre_);
   const PoseCovariance covariance = covarianceAt(target_centre_, exposure.room_from_patient, exposure.covariance) +
                                     covarianceAt(target_centre_, reply.room_from_patient, reply.covariance);
   Eigen::Matrix<double, 6, 1> difference;
   difference << correction.tail<3>(), correction.head<3>();
   const Eigen::LLT<PoseCovariance> cholesky(covariance);
   const double chi_square = difference.dot(cholesky.solve(difference));
-  const double bound =
+  const double limit =
       boost::math::quantile(boost::math::complement(boost::math::chi_squared(6), options_.significance));
-  if (cholesky.info() != Eigen::Success || !(chi_square <= bound))
+  if (cholesky.info() != Eigen::Success || !(chi_square <= limit))
   {
     return compose(
         "the refinement contradicts the tracked pose: chi-square of "
         "the correction is ",
-        chi_square, " with 6 degrees of freedom, expected at most ", bound);
+        chi_square, " with 6 degrees of freedom, expected at most ", limit);
   }
   return std::string();
 }
 
 void RefinementPolicy::reset()
 {
-  waiting_.clear();
   pending_.reset();
+  chain_.reset();
   anchor_.reset();
   exposures_since_request_ = 0;
   demanded_ = false;

@@ -15,7 +15,10 @@ TIMEOUT = 60.0  # s
 EXPECTED = {  # node: what the message has to name
     'no_setup_file': ['/no_setup_file/setup_file', 'is not set'],
     'missing_setup_file': ['/nowhere/setup.yaml'],
-    'unknown_method': ['method', 'guessing', 'least_squares'],
+    'unknown_method': ['method', 'guessing', 'tracking_and_registration'],
+    'unknown_estimation': ['estimation_method', 'guessing', 'least_squares'],
+    'no_deadline': ['pose/deadline', '-1', '0 to 10 s'],
+    'never_asked': ['refinement/mode', 'never', 'registration'],
     'wrong_type': ['/wrong_type/floor_sigma', 'half a pixel', 'a number'],
     'out_of_range': ['significance', '2', '(0, 1)'],
     'one_detector': ['detectors', 'two or more'],

@@ -129,6 +129,23 @@ TEST_F(BeamGateTest, ClosesOnRotation)
   expectClosedBy(GateReason::DISPLACED, [](GateExposure& e) { e.rotation = 0.06; });
 }
 
+// A rotation that nobody measures counts by its variance, together with what is measured.
+TEST_F(BeamGateTest, ClosesOnRotationThatIsNotMeasured)
+{
+  const auto variance = [&](double share) { return std::pow(share * options.max_rotation, 2); };
+  expectClosedBy(GateReason::DISPLACED, [&](GateExposure& exposure) { exposure.rotation_variance = variance(1.01); });
+  expectClosedBy(GateReason::DISPLACED,
+                 [&](GateExposure& exposure)
+                 {
+                   exposure.rotation = 0.8 * options.max_rotation;
+                   exposure.rotation_variance = variance(0.61);
+                 });
+  GateExposure exposure = good();
+  exposure.rotation = 0.8 * options.max_rotation;
+  exposure.rotation_variance = variance(0.59);
+  EXPECT_FALSE(gate.update(exposure)) << gate.text();
+}
+
 TEST_F(BeamGateTest, ClosesOnNumbersThatAreNone)
 {
   const double nan = std::numeric_limits<double>::quiet_NaN();
@@ -287,13 +304,13 @@ TEST_F(JumpTest, IsConfirmedByARefinement)
   const std::int64_t jump = stamp;
   gate.update(there());
   // The answer about an exposure from before it says nothing of it.
-  EXPECT_FALSE(gate.refined(jump - kInterval, Eigen::Vector3d::Zero(), 0.0, true));
+  EXPECT_FALSE(gate.refined(jump - kInterval, Eigen::Vector3d::Zero(), 0.0));
   for (int i = 1; i <= options.good_exposures; ++i)
   {
     gate.update(there());
     EXPECT_EQ(gate.reason(), GateReason::JUMP);
   }
-  EXPECT_FALSE(gate.refined(jump, Eigen::Vector3d(0.2, 0.0, 0.0), 0.0, true));
+  EXPECT_FALSE(gate.refined(jump, Eigen::Vector3d(0.2, 0.0, 0.0), 0.0));
   EXPECT_FALSE(gate.open());
   for (int i = 1; i <= options.good_exposures; ++i)
   {
@@ -355,7 +372,7 @@ TEST_F(BeamGateTest, ARefinementMovesTheTargetWithoutAJump)
 {
   openIt();
   const Eigen::Vector3d correction(1.0, -2.0, 0.0);
-  EXPECT_FALSE(gate.refined(stamp, correction, 0.01, true));
+  EXPECT_FALSE(gate.refined(stamp, correction, 0.01));
   EXPECT_TRUE(gate.open());
   GateExposure exposure = good();
   exposure.displacement += correction - Eigen::Vector3d::UnitX();
@@ -366,11 +383,11 @@ TEST_F(BeamGateTest, ARefinementMovesTheTargetWithoutAJump)
 TEST_F(BeamGateTest, ARefinementThatPutsTheTargetOutsideClosesAtOnce)
 {
   openIt();
-  EXPECT_TRUE(gate.refined(stamp, Eigen::Vector3d(1.5, -2.0, 0.0), 0.0, true));  // from (1, 0, 0): 3.2 mm
+  EXPECT_TRUE(gate.refined(stamp, Eigen::Vector3d(1.5, -2.0, 0.0), 0.0));  // from (1, 0, 0): 3.2 mm
   EXPECT_EQ(gate.reason(), GateReason::DISPLACED);
-  gate.refined(stamp, Eigen::Vector3d(-1.5, 2.0, 0.0), 0.0, true);
+  gate.refined(stamp, Eigen::Vector3d(-1.5, 2.0, 0.0), 0.0);
   openIt();
-  EXPECT_TRUE(gate.refined(stamp, Eigen::Vector3d::Zero(), 2.0 * options.max_rotation, true));
+  EXPECT_TRUE(gate.refined(stamp, Eigen::Vector3d::Zero(), 2.0 * options.max_rotation));
   EXPECT_EQ(gate.reason(), GateReason::DISPLACED);
 }
 
@@ -420,7 +437,7 @@ protected:
     gate = BeamGate(options);
   }
 
-  void confirm() { gate.refined(stamp, Eigen::Vector3d::Zero(), 0.0, true); }
+  void confirm() { gate.refined(stamp, Eigen::Vector3d::Zero(), 0.0); }
 
   /// Good exposures until `count` have come, the gate closed before each of them; open then.
   void openAfter(int count)
@@ -452,8 +469,8 @@ TEST_F(VerifiedByRegistrationTest, OpensAfterARefinementAndGoodExposures)
   }
   EXPECT_NE(gate.text().find("100 refused"), std::string::npos) << gate.text();
   EXPECT_NE(gate.text().find("flat optimum"), std::string::npos) << gate.text();
-  EXPECT_FALSE(gate.refined(stamp, Eigen::Vector3d::Zero(), 0.0, true)) << "after refusals it takes two";
-  EXPECT_TRUE(gate.refined(stamp, Eigen::Vector3d::Zero(), 0.0, true));
+  EXPECT_FALSE(gate.refined(stamp, Eigen::Vector3d::Zero(), 0.0)) << "after refusals it takes two";
+  EXPECT_TRUE(gate.refined(stamp, Eigen::Vector3d::Zero(), 0.0));
   // Told at once, also if no further exposure comes.
   EXPECT_EQ(gate.reason(), GateReason::CONFIRMING);
   // They have been good otherwise all the time.
@@ -473,15 +490,41 @@ TEST_F(VerifiedByRegistrationTest, ExposuresThatWereBadOtherwiseDoNotCount)
   openAfter(options.good_exposures);
 }
 
-TEST_F(VerifiedByRegistrationTest, ARefinementOfAnExposureWithoutAPoseVerifiesNothing)
+TEST_F(VerifiedByRegistrationTest, ARegisteredPoseVerifiesItself)
+{
+  for (int i = 1; i <= options.good_exposures; ++i)
+  {
+    GateExposure exposure = good();
+    exposure.registered = true;
+    gate.update(exposure);
+    EXPECT_EQ(gate.reason(), i < options.good_exposures ? GateReason::CONFIRMING : GateReason::NONE) << gate.text();
+  }
+  // Tracked ones that follow are as good for a while.
+  gate.update(good());
+  EXPECT_TRUE(gate.open()) << gate.text();
+}
+
+TEST_F(VerifiedByRegistrationTest, ARegisteredPoseElsewhereIsNoJump)
 {
   openVerified();
-  EXPECT_TRUE(gate.refined(stamp, Eigen::Vector3d::Zero(), 0.0, false));
-  EXPECT_EQ(gate.reason(), GateReason::UNVERIFIED);
-  gate.update(good());
-  EXPECT_EQ(gate.reason(), GateReason::UNVERIFIED);
-  confirm();
-  openAfter(options.good_exposures - 1);
+  GateExposure exposure = good();
+  exposure.registered = true;
+  exposure.displacement = { -2.0, 0.0, 0.0 };  // 3 mm in 33 ms
+  EXPECT_FALSE(gate.update(exposure)) << gate.text();
+  EXPECT_TRUE(gate.open());
+  exposure = good();  // and back without a registration
+  gate.update(exposure);
+  EXPECT_EQ(gate.reason(), GateReason::JUMP);
+}
+
+TEST_F(VerifiedByRegistrationTest, ARegisteredPoseOutsideOfTheBoundsCloses)
+{
+  openVerified();
+  GateExposure exposure = good();
+  exposure.registered = true;
+  exposure.displacement = { 3.1, 0.0, 0.0 };
+  EXPECT_TRUE(gate.update(exposure));
+  EXPECT_EQ(gate.reason(), GateReason::DISPLACED);
 }
 
 TEST_F(VerifiedByRegistrationTest, ClosesOnceNothingHasConfirmedItForLong)

@@ -12,6 +12,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseWithCovarianceStamped, Quaternion, TransformStamped, Vector3
 from sensor_msgs.msg import CameraInfo, RegionOfInterest
 from tf2_msgs.msg import TFMessage
+from std_srvs.srv import Trigger
 from xray_tracking_msgs.msg import BeamGate, PatientMotion, TrackedRegion
 
 TIMEOUT = 30.0  # s, generous: the answer to an exposure takes less than a millisecond of work
@@ -241,8 +242,9 @@ class EstimationTestCase(unittest.TestCase):
             rospy.sleep(0.1)
         raise AssertionError('no estimate: ' + cls.states[-1][1])
 
-    def begin_anew(self):
-        """Exposures before self.start, all earlier than what was answered, until the node takes them for a new run."""
+    def begin_anew(self, at_initial_pose=True):
+        """Exposures before self.start, all earlier than what was answered, until the node takes them for a new run.
+        Then it is told that the patient is at the initial pose, or not."""
         for index in range(int(TIMEOUT / 0.1)):
             stamp = self.start + int((0.1 * index - 2 * TIMEOUT) * NANOSECONDS)
             for detector, publisher in zip(self.graph.detectors, self.graph.regions):
@@ -251,8 +253,13 @@ class EstimationTestCase(unittest.TestCase):
                 publisher.publish(region)
             rospy.sleep(0.1)
             if stamp in self.graph.motions:
-                return
-        raise AssertionError('no new run')
+                break
+        else:
+            raise AssertionError('no new run')
+        if at_initial_pose:
+            restart = rospy.ServiceProxy('motion_estimation/restart', Trigger)
+            restart.wait_for_service(TIMEOUT)
+            self.assertTrue(restart().success)
 
     def stamp(self, index):
         return self.start + int(index * 0.1 * NANOSECONDS)

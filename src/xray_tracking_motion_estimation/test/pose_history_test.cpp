@@ -17,11 +17,11 @@ TEST(PoseHistory, FindsExactlyTheStamp)
 {
   PoseHistory history(10);
   EXPECT_TRUE(history.empty());
-  history.add(100, shifted(1.0));
-  history.add(200, shifted(2.0));
+  history.add({ 100, shifted(1.0), false });
+  history.add({ 200, shifted(2.0), true });
   ASSERT_TRUE(history.at(100));
-  EXPECT_EQ(history.at(100)->translation().x(), 1.0);
-  EXPECT_EQ(history.at(200)->translation().x(), 2.0);
+  EXPECT_EQ(history.at(100)->room_from_patient.translation().x(), 1.0);
+  EXPECT_EQ(history.at(200)->room_from_patient.translation().x(), 2.0);
   EXPECT_FALSE(history.at(101));
 }
 
@@ -30,13 +30,23 @@ TEST(PoseHistory, ForgetsTheOldest)
   PoseHistory history(3);
   for (int stamp = 0; stamp < 5; ++stamp)
   {
-    history.add(stamp, shifted(stamp));
+    history.add({ stamp, shifted(stamp), false });
   }
   EXPECT_FALSE(history.at(1));
   EXPECT_TRUE(history.at(2));
   EXPECT_TRUE(history.at(4));
   history.clear();
   EXPECT_FALSE(history.at(4));
+}
+
+TEST(PoseHistory, CorrectsWhatWasTrackedAlone)
+{
+  PoseHistory history(3);
+  history.add({ 1, shifted(1.0), true });
+  history.add({ 2, shifted(2.0), false });
+  history.correctTracked([](const RigidTransform& pose) { return shifted(pose.translation().x() + 0.5); });
+  EXPECT_EQ(history.at(1)->room_from_patient.translation().x(), 1.0);
+  EXPECT_EQ(history.at(2)->room_from_patient.translation().x(), 2.5);
 }
 }  // namespace
 }  // namespace xray_tracking

@@ -27,26 +27,33 @@ Vector6d moved(double x, double y = 0.0, double z = 0.0, double rotation_y = 0.0
 class RefinementTest : public testing::Test
 {
 protected:
-  RefinementPolicy makePolicy()
-  {
-    return RefinementPolicy(options, traceTarget(),
-                            [this](const RefinementRequest& request)
-                            {
-                              if (reachable)
-                              {
-                                requests.push_back(request);
-                              }
-                              return reachable;
-                            });
-  }
+  RefinementPolicy makePolicy() { return RefinementPolicy(options, traceTarget()); }
 
-  TrackedExposure exposureAt(const Vector6d& motion, double disagreement = 0.3)
+  RefinementSeed exposureAt(const Vector6d& motion, double disagreement = 0.3)
   {
     now += kInterval;
     const RigidTransform pose = tracePose(motion);
     Vector6d variances;
     variances << Eigen::Vector3d::Constant(tracked_variance), 3e-4, 3e-4, 3e-4;
     return { now + 1000000 * kMillisecond, pose, covarianceAtOrigin(pose, variances.asDiagonal()), disagreement };
+  }
+
+  /// Without a tracked pose, the last one `since` ago [s].
+  RefinementSeed lostAt(const Vector6d& motion, double since)
+  {
+    RefinementSeed exposure = exposureAt(motion);
+    exposure.tracked = false;
+    exposure.since = since;
+    return exposure;
+  }
+
+  /// Asks about the exposure if it is due and nothing is under way.
+  void expose(RefinementPolicy& policy, const RefinementSeed& exposure)
+  {
+    if (policy.due(exposure, now) && !policy.pending())
+    {
+      requests.push_back(policy.ask(exposure, false, now));
+    }
   }
 
   RefinementReply answer(const Vector6d& refined_motion) const
@@ -63,43 +70,58 @@ protected:
     return reply;
   }
 
+  /// Asks and has the answer judged.
+  RefinementPolicy::Judgement refine(RefinementPolicy& policy, const RefinementSeed& exposure,
+                                     const Vector6d& refined_motion)
+  {
+    expose(policy, exposure);
+    return policy.judge(answer(refined_motion));
+  }
+
+  RefinementReply failure() const
+  {
+    RefinementReply reply;
+    reply.id = requests.back().id;
+    reply.text = "flat optimum";
+    return reply;
+  }
+
   /// How many of 100 exposures at rest are asked for if every answer comes before the next one.
   std::size_t requestsOf100(RefinementPolicy& policy)
   {
     for (int i = 0; i < 100; ++i)
     {
-      policy.onExposure(exposureAt(moved(0.0)), now);
+      expose(policy, exposureAt(moved(0.0)));
       if (policy.pending())
       {
-        policy.onReply(answer(moved(0.0)));
+        policy.judge(answer(moved(0.0)));
       }
     }
     return requests.size();
   }
 
   /// Asks, spoils the answer, and expects a refusal that names `what`.
-  /// @param contradicts it is the tracks that a believed pose contradicts
   void expectRefused(const std::string& what, const std::function<void(RefinementReply&)>& spoil,
-                     bool contradicts = false)
+                     RefinementVerdict verdict = RefinementVerdict::REFUSED)
   {
     options.mode = RefinementMode::EVERY_FRAME;
     RefinementPolicy policy = makePolicy();
-    policy.onExposure(exposureAt(moved(1.0)), now);
+    expose(policy, exposureAt(moved(1.0)));
     RefinementReply reply = answer(moved(1.1));
     spoil(reply);
-    EXPECT_FALSE(policy.onReply(reply));
-    EXPECT_NE(policy.lastRefusal().find(what), std::string::npos) << policy.lastRefusal();
+    const RefinementPolicy::Judgement judgement = policy.judge(reply);
+    EXPECT_FALSE(judgement.refinement);
+    EXPECT_EQ(judgement.verdict, verdict);
+    EXPECT_NE(judgement.reason.find(what), std::string::npos) << judgement.reason;
+    EXPECT_EQ(policy.lastRefusal(), judgement.reason);
     EXPECT_EQ(policy.refused(), 1u);
-    EXPECT_EQ(policy.lastRefusalContradicts(), contradicts);
     // The same answer unspoilt is good.
-    policy.onExposure(exposureAt(moved(1.0)), now);
-    EXPECT_TRUE(policy.onReply(answer(moved(1.1)))) << policy.lastRefusal();
+    EXPECT_TRUE(refine(policy, exposureAt(moved(1.0)), moved(1.1)).refinement) << policy.lastRefusal();
   }
 
   RefinementPolicyOptions options;
   double tracked_variance = 1.04;  ///< 1 mm of tissue and 0.2 mm of the tracks [mm^2]
   std::vector<RefinementRequest> requests;
-  bool reachable = true;
   std::int64_t now = 0;
 };
 
@@ -136,39 +158,36 @@ TEST_F(RefinementTest, AsksOnDemand)
   EXPECT_EQ(requestsOf100(policy), 1u);
 }
 
-TEST_F(RefinementTest, ADemandWaitsForARegistrationThatCanBeReached)
+TEST_F(RefinementTest, ADemandWaitsUntilItIsAskedFor)
 {
   options.mode = RefinementMode::ON_DEMAND;
   RefinementPolicy policy = makePolicy();
-  reachable = false;
   policy.demand();
-  policy.onExposure(exposureAt(moved(0.0)), now);
-  EXPECT_FALSE(policy.pending());
-  EXPECT_EQ(policy.unheard(), 1u);
-  reachable = true;
-  policy.onExposure(exposureAt(moved(0.0)), now);
-  EXPECT_TRUE(policy.pending());
+  EXPECT_TRUE(policy.due(exposureAt(moved(0.0)), now));
+  EXPECT_TRUE(policy.due(exposureAt(moved(0.0)), now)) << "nothing was asked";
+  policy.ask(exposureAt(moved(0.0)), false, now);
+  EXPECT_FALSE(policy.due(exposureAt(moved(0.0)), now));
 }
 
 TEST_F(RefinementTest, AsksOnDrift)
 {
   options.mode = RefinementMode::ON_DRIFT;
   RefinementPolicy policy = makePolicy();
-  policy.onExposure(exposureAt(moved(0.0)), now);
-  policy.onExposure(exposureAt(moved(2.9)), now);
+  expose(policy, exposureAt(moved(0.0)));
+  expose(policy, exposureAt(moved(2.9)));
   EXPECT_TRUE(requests.empty());
-  policy.onExposure(exposureAt(moved(3.1)), now);
+  expose(policy, exposureAt(moved(3.1)));
   ASSERT_EQ(requests.size(), 1u);
   EXPECT_TRUE(requests[0].room_from_patient.isApprox(tracePose(moved(3.1))));
-  ASSERT_TRUE(policy.onReply(answer(moved(3.0))));
+  ASSERT_TRUE(policy.judge(answer(moved(3.0))).refinement);
 
   // Counted from there, by motion, rotation and residual.
-  policy.onExposure(exposureAt(moved(5.9, 0.0, 0.0, 0.019)), now);
+  expose(policy, exposureAt(moved(5.9, 0.0, 0.0, 0.019)));
   EXPECT_EQ(requests.size(), 1u);
-  policy.onExposure(exposureAt(moved(5.9, 0.0, 0.0, 0.021)), now);
+  expose(policy, exposureAt(moved(5.9, 0.0, 0.0, 0.021)));
   EXPECT_EQ(requests.size(), 2u);
-  ASSERT_TRUE(policy.onReply(answer(moved(5.9))));
-  policy.onExposure(exposureAt(moved(5.9), 1.6), now);
+  ASSERT_TRUE(policy.judge(answer(moved(5.9))).refinement);
+  expose(policy, exposureAt(moved(5.9), 1.6));
   EXPECT_EQ(requests.size(), 3u);
 }
 
@@ -176,15 +195,13 @@ TEST_F(RefinementTest, DriftDoesNotAskAgainAtOnceAfterARefusal)
 {
   options.mode = RefinementMode::ON_DRIFT;
   RefinementPolicy policy = makePolicy();
-  policy.onExposure(exposureAt(moved(0.0)), now);
+  expose(policy, exposureAt(moved(0.0)));
   for (int i = 0; i < 300; ++i)  // 10 s
   {
-    policy.onExposure(exposureAt(moved(4.0)), now);
+    expose(policy, exposureAt(moved(4.0)));
     if (policy.pending())
     {
-      RefinementReply failure = answer(moved(4.0));
-      failure.success = false;
-      EXPECT_FALSE(policy.onReply(failure));
+      EXPECT_EQ(policy.judge(failure()).verdict, RefinementVerdict::REFUSED);
     }
   }
   EXPECT_EQ(requests.size(), 5u);  // every 2 s
@@ -194,29 +211,26 @@ TEST_F(RefinementTest, HasOneRequestUnderWayAndGivesUp)
 {
   options.mode = RefinementMode::EVERY_FRAME;
   RefinementPolicy policy = makePolicy();
-  for (int i = 0; i < 60; ++i)  // 1.98 s
-  {
-    policy.onExposure(exposureAt(moved(0.0)), now);
-  }
-  EXPECT_EQ(requests.size(), 1u);
+  expose(policy, exposureAt(moved(0.0)));
+  EXPECT_THROW(policy.ask(exposureAt(moved(0.0)), false, now), std::logic_error);
   const RefinementReply late = answer(moved(0.1));
-  EXPECT_FALSE(policy.tick(now));
-  EXPECT_TRUE(policy.tick(now + 100 * kMillisecond));
+  EXPECT_FALSE(policy.tick(now + 1000 * kMillisecond));
+  EXPECT_TRUE(policy.tick(now + 2100 * kMillisecond));
   EXPECT_EQ(policy.timeouts(), 1u);
-  EXPECT_FALSE(policy.onReply(late));
-  policy.onExposure(exposureAt(moved(0.0)), now);
-  EXPECT_FALSE(policy.onReply(late));  // nor does it answer the next request
-  EXPECT_TRUE(policy.pending());
-  EXPECT_TRUE(policy.onReply(answer(moved(0.1))));
+  EXPECT_THROW(policy.judge(late), std::logic_error);
+  expose(policy, exposureAt(moved(0.0)));
+  EXPECT_NE(policy.pending(), late.id);
+  EXPECT_THROW(policy.judge(late), std::logic_error) << "nor does it answer the next request";
+  EXPECT_TRUE(policy.judge(answer(moved(0.1))).refinement);
 }
 
 TEST_F(RefinementTest, ARequestFromBeforeAResetIsVoid)
 {
   options.mode = RefinementMode::EVERY_FRAME;
   RefinementPolicy policy = makePolicy();
-  policy.onExposure(exposureAt(moved(0.0)), now);
+  expose(policy, exposureAt(moved(0.0)));
   policy.reset();
-  EXPECT_FALSE(policy.onReply(answer(moved(0.1))));
+  EXPECT_FALSE(policy.pending());
   EXPECT_EQ(policy.accepted(), 0u);
 }
 
@@ -243,10 +257,11 @@ TEST_F(RefinementTest, RefusesNumbersThatAreNone)
 TEST_F(RefinementTest, RefusesLargeCorrections)
 {
   expectRefused(
-      "correction", [](RefinementReply& reply) { reply.room_from_patient = tracePose(moved(6.1)); }, true);
+      "correction", [](RefinementReply& reply) { reply.room_from_patient = tracePose(moved(6.1)); },
+      RefinementVerdict::CONTRADICTS);
   expectRefused(
       "correction", [](RefinementReply& reply) { reply.room_from_patient = tracePose(moved(1.0, 0.0, 0.0, 0.08)); },
-      true);
+      RefinementVerdict::CONTRADICTS);
 }
 
 TEST_F(RefinementTest, RefusesWhatIsNoBetterMatch)
@@ -256,66 +271,88 @@ TEST_F(RefinementTest, RefusesWhatIsNoBetterMatch)
   expectRefused("similarity", [](RefinementReply& reply) { reply.similarity = 0.84; });
 }
 
-TEST_F(RefinementTest, AsksForAllInOrderAsFarAsTheQueueReaches)
+// As similar but for noise: the seed was right.
+TEST_F(RefinementTest, EqualSimilaritiesAgree)
 {
   options.mode = RefinementMode::EVERY_FRAME;
-  options.queue_size = 3;
   RefinementPolicy policy = makePolicy();
-  std::vector<std::int64_t> stamps;
-  for (int i = 0; i < 6; ++i)
-  {
-    const TrackedExposure exposure = exposureAt(moved(0.1 * i));
-    stamps.push_back(exposure.stamp);
-    policy.onExposure(exposure, now);
-  }
-  EXPECT_EQ(policy.skipped(), 2u);
-  for (const std::size_t expected : { 0u, 3u, 4u, 5u })
-  {
-    ASSERT_TRUE(policy.pending());
-    EXPECT_EQ(requests.back().stamp, stamps[expected]);
-    policy.onReply(answer(moved(0.1 * static_cast<double>(expected))));
-    policy.next(now);
-  }
-  EXPECT_FALSE(policy.pending());
+  expose(policy, exposureAt(moved(1.0)));
+  RefinementReply reply = answer(moved(1.1));
+  reply.seed_similarity = 0.92124;
+  reply.similarity = 0.921194;
+  EXPECT_TRUE(policy.judge(reply).refinement) << policy.lastRefusal();
 }
 
-TEST_F(RefinementTest, WhatWaitsStartsFromWhereTheRefinementPutsIt)
+// Where the tracks say nothing there is nothing to contradict: the next registration has to find the same.
+TEST_F(RefinementTest, WithoutTracksItTakesTwoThatAgree)
 {
   options.mode = RefinementMode::EVERY_FRAME;
-  options.queue_size = 2;
   RefinementPolicy policy = makePolicy();
-  policy.onExposure(exposureAt(moved(1.0)), now);
-  policy.onExposure(exposureAt(moved(2.0)), now);
-  ASSERT_TRUE(policy.onReply(answer(moved(1.3, 0.2))));
-  policy.next(now);
-  ASSERT_EQ(requests.size(), 2u);
-  EXPECT_TRUE(requests[1].room_from_patient.isApprox(tracePose(moved(2.3, 0.2)), 1e-12));
-}
-
-// Where the tracks say nothing there is nothing to contradict; what the registration says of itself has to do.
-TEST_F(RefinementTest, AnExposureWithoutAPoseIsRefinedFromTheLastOne)
-{
-  options.mode = RefinementMode::ON_DRIFT;
-  RefinementPolicy policy = makePolicy();
-  TrackedExposure exposure = exposureAt(moved(0.5));
-  exposure.measured = false;
-  policy.onExposure(exposure, now);
-  ASSERT_EQ(requests.size(), 1u);
+  RefinementPolicy::Judgement judgement = refine(policy, lostAt(moved(0.5), 0.3), moved(7.0));
+  EXPECT_EQ(judgement.verdict, RefinementVerdict::UNCONFIRMED);
   EXPECT_TRUE(requests[0].room_from_patient.isApprox(tracePose(moved(0.5)), 1e-12));
-  const auto refinement = policy.onReply(answer(moved(9.0)));
-  ASSERT_TRUE(refinement) << policy.lastRefusal();
-  EXPECT_FALSE(refinement->tracked);
-  EXPECT_TRUE(refinement->refined.isApprox(tracePose(moved(9.0)), 1e-12));
+  judgement = refine(policy, lostAt(moved(0.5), 0.333), moved(7.3));
+  EXPECT_TRUE(requests[1].room_from_patient.isApprox(tracePose(moved(7.0)), 1e-12)) << "from where it found it";
+  ASSERT_TRUE(judgement.refinement) << judgement.reason;
+  EXPECT_FALSE(judgement.refinement->tracked);
+  EXPECT_TRUE(judgement.refinement->refined.isApprox(tracePose(moved(7.3)), 1e-12));
+  // A failure in between, and it takes two again.
+  expose(policy, lostAt(moved(7.3), 0.033));
+  EXPECT_EQ(policy.judge(failure()).reason, "flat optimum");
+  EXPECT_EQ(refine(policy, lostAt(moved(7.3), 0.066), moved(7.4)).verdict, RefinementVerdict::UNCONFIRMED);
+  EXPECT_TRUE(refine(policy, lostAt(moved(7.3), 0.1), moved(7.5)).refinement);
+}
 
-  exposure = exposureAt(moved(9.0));
-  exposure.measured = false;
-  policy.onExposure(exposure, now);
-  RefinementReply reply = answer(moved(9.1));
-  reply.success = false;
-  reply.text = "flat optimum";
-  EXPECT_FALSE(policy.onReply(reply));
-  EXPECT_EQ(policy.lastRefusal(), "flat optimum");
-  EXPECT_FALSE(policy.lastRefusalContradicts());
+// 17 mm to the next vertebra, which a target at 15 mm/s and a correction of 5 mm reach after 0.8 s.
+TEST_F(RefinementTest, WithoutTracksNobodyGetsFartherThanATargetMoves)
+{
+  options.mode = RefinementMode::EVERY_FRAME;
+  RefinementPolicy policy = makePolicy();
+  for (int i = 1; i <= 5; ++i)
+  {
+    const RefinementPolicy::Judgement judgement = refine(policy, lostAt(moved(0.0), 0.1 * i), moved(17.0));
+    EXPECT_EQ(judgement.verdict, RefinementVerdict::REFUSED);
+    EXPECT_NE(judgement.reason.find("correction is 17"), std::string::npos) << judgement.reason;
+  }
+  EXPECT_TRUE(refine(policy, lostAt(moved(0.0), 0.81), moved(17.0)).refinement);
+}
+
+// Two that are farther apart than a target moves meanwhile do not agree: 0.5 mm, what registrations spread by, and three
+// of their deviations of 0.14 mm.
+TEST_F(RefinementTest, WithoutTracksRegistrationsElsewhereConfirmNothing)
+{
+  options.mode = RefinementMode::EVERY_FRAME;
+  RefinementPolicy policy = makePolicy();
+  EXPECT_EQ(refine(policy, lostAt(moved(0.0), 0.1), moved(0.0)).verdict, RefinementVerdict::UNCONFIRMED);
+  EXPECT_EQ(refine(policy, lostAt(moved(0.0), 0.133), moved(1.7)).verdict, RefinementVerdict::UNCONFIRMED);
+  EXPECT_TRUE(refine(policy, lostAt(moved(0.0), 0.166), moved(0.0)).verdict == RefinementVerdict::UNCONFIRMED);
+  EXPECT_TRUE(refine(policy, lostAt(moved(0.0), 0.2), moved(1.7)).verdict == RefinementVerdict::UNCONFIRMED);
+  EXPECT_TRUE(refine(policy, lostAt(moved(0.0), 0.233), moved(1.5)).refinement);
+}
+
+// Tracks that hold on to something else: registrations that agree with each other outweigh them, up to 10 mm.
+TEST_F(RefinementTest, ThreeInARowThatAgreeOutweighTheTracks)
+{
+  options.mode = RefinementMode::EVERY_FRAME;
+  RefinementPolicy policy = makePolicy();
+  EXPECT_TRUE(refine(policy, exposureAt(moved(0.0)), moved(0.1)).refinement);
+  EXPECT_EQ(refine(policy, exposureAt(moved(0.0)), moved(7.0)).verdict, RefinementVerdict::CONTRADICTS);
+  EXPECT_EQ(refine(policy, exposureAt(moved(0.0)), moved(7.1)).verdict, RefinementVerdict::CONTRADICTS);
+  const RefinementPolicy::Judgement judgement = refine(policy, exposureAt(moved(0.0)), moved(7.2));
+  ASSERT_TRUE(judgement.refinement) << judgement.reason;
+  EXPECT_TRUE(judgement.refinement->tracked);
+  for (int i = 0; i < 10; ++i)
+  {
+    EXPECT_EQ(refine(policy, exposureAt(moved(7.2)), moved(17.5)).verdict, RefinementVerdict::CONTRADICTS);
+  }
+  // Not if one of them fails or is elsewhere.
+  EXPECT_EQ(refine(policy, exposureAt(moved(0.0)), moved(7.0)).verdict, RefinementVerdict::CONTRADICTS);
+  EXPECT_EQ(refine(policy, exposureAt(moved(0.0)), moved(7.0)).verdict, RefinementVerdict::CONTRADICTS);
+  expose(policy, exposureAt(moved(0.0)));
+  policy.judge(failure());
+  EXPECT_EQ(refine(policy, exposureAt(moved(0.0)), moved(7.0)).verdict, RefinementVerdict::CONTRADICTS);
+  EXPECT_EQ(refine(policy, exposureAt(moved(0.0)), moved(-7.0)).verdict, RefinementVerdict::CONTRADICTS);
+  EXPECT_EQ(refine(policy, exposureAt(moved(0.0)), moved(7.0)).verdict, RefinementVerdict::CONTRADICTS);
 }
 
 // Combined deviations: 0.22 mm and 0.0176 rad. chi-square of 6 degrees of freedom is 22.46 at 0.001, so that a single
@@ -324,22 +361,35 @@ TEST_F(RefinementTest, RefusesWhatContradictsTheTracks)
 {
   // With 1 mm of tissue 4.74 * sqrt(0.05 + 1) = 4.86 mm.
   expectRefused(
-      "contradicts", [](RefinementReply& reply) { reply.room_from_patient = tracePose(moved(5.9)); }, true);
+      "contradicts", [](RefinementReply& reply) { reply.room_from_patient = tracePose(moved(5.9)); },
+      RefinementVerdict::CONTRADICTS);
   {
     RefinementPolicy policy = makePolicy();
-    policy.onExposure(exposureAt(moved(1.0)), now);
-    EXPECT_TRUE(policy.onReply(answer(moved(5.8)))) << policy.lastRefusal();
+    EXPECT_TRUE(refine(policy, exposureAt(moved(1.0)), moved(5.8)).refinement) << policy.lastRefusal();
   }
   tracked_variance = 0.04;
   expectRefused(
-      "contradicts", [](RefinementReply& reply) { reply.room_from_patient = tracePose(moved(2.08)); }, true);
-  options.mode = RefinementMode::EVERY_FRAME;
+      "contradicts", [](RefinementReply& reply) { reply.room_from_patient = tracePose(moved(2.08)); },
+      RefinementVerdict::CONTRADICTS);
   RefinementPolicy policy = makePolicy();
-  policy.onExposure(exposureAt(moved(1.0)), now);
-  EXPECT_TRUE(policy.onReply(answer(moved(2.04)))) << policy.lastRefusal();
+  EXPECT_TRUE(refine(policy, exposureAt(moved(1.0)), moved(2.04)).refinement) << policy.lastRefusal();
   // The covariance is the target's, however long the arm to the origin: two degrees are within the bounds.
-  policy.onExposure(exposureAt(moved(1.0)), now);
-  EXPECT_TRUE(policy.onReply(answer(moved(1.0, 0.0, 0.0, 0.035)))) << policy.lastRefusal();
+  EXPECT_TRUE(refine(policy, exposureAt(moved(1.0)), moved(1.0, 0.0, 0.0, 0.035)).refinement) << policy.lastRefusal();
+}
+
+// Tissue that carries tracks away is no reason to doubt registrations that go on as they were; the first one is.
+TEST_F(RefinementTest, RegistrationsThatFollowEachOtherOutweighWhatTracksAreUncertainBy)
+{
+  options.mode = RefinementMode::EVERY_FRAME;
+  tracked_variance = 0.04;
+  RefinementPolicy policy = makePolicy();
+  EXPECT_EQ(refine(policy, exposureAt(moved(2.0)), moved(0.0)).verdict, RefinementVerdict::CONTRADICTS);
+  EXPECT_TRUE(refine(policy, exposureAt(moved(0.1)), moved(0.1)).refinement);
+  EXPECT_TRUE(refine(policy, exposureAt(moved(2.0)), moved(0.2)).refinement) << policy.lastRefusal();
+  EXPECT_EQ(refine(policy, exposureAt(moved(5.4)), moved(0.3)).verdict, RefinementVerdict::CONTRADICTS);
+  // Not if they are so far apart in time that the target can have gone anywhere.
+  now += 400 * kMillisecond;
+  EXPECT_EQ(refine(policy, exposureAt(moved(2.0)), moved(0.4)).verdict, RefinementVerdict::CONTRADICTS);
 }
 
 // Tracks measure the target's translation in the room and, if at all, its rotation since the reference; the reference
@@ -384,13 +434,13 @@ TEST(Refinement, IsCarriedForwardByTheMotionSince)
 TEST(Refinement, ReanchorsAllEarlierExposures)
 {
   PoseHistory history(10);
-  history.add(1, tracePose(moved(0.0)));
-  history.add(2, tracePose(moved(4.0)));
+  history.add({ 1, tracePose(moved(0.0)), false });
+  history.add({ 2, tracePose(moved(4.0)), false });
   const Refinement refinement{ 2, tracePose(moved(4.0)), tracePose(moved(4.5, 0.2, 0.0, 0.02)),
                                PoseCovariance::Zero() };
-  history.transform([&](const RigidTransform& pose) { return refinement.carry(pose, traceTarget()); });
-  EXPECT_TRUE(history.at(2)->isApprox(refinement.refined, 1e-12));
-  EXPECT_TRUE(history.at(1)->isApprox(tracePose(moved(0.5, 0.2, 0.0, 0.02)), 1e-12));
+  history.correctTracked([&](const RigidTransform& pose) { return refinement.carry(pose, traceTarget()); });
+  EXPECT_TRUE(history.at(2)->room_from_patient.isApprox(refinement.refined, 1e-12));
+  EXPECT_TRUE(history.at(1)->room_from_patient.isApprox(tracePose(moved(0.5, 0.2, 0.0, 0.02)), 1e-12));
 }
 
 TEST(RefinementPolicyOptions, AreChecked)
@@ -410,7 +460,7 @@ TEST(RefinementPolicyOptions, AreChecked)
     }
   };
   EXPECT_TRUE(refused([](auto& o) { o.every_n = 0; }, "every_n"));
-  EXPECT_TRUE(refused([](auto& o) { o.queue_size = 0; }, "queue_size"));
+  EXPECT_TRUE(refused([](auto& o) { o.target_speed = -1.0; }, "target_speed"));
   EXPECT_TRUE(refused([](auto& o) { o.drift = 0.0; }, "drift"));
   EXPECT_TRUE(refused([](auto& o) { o.drift_rotation = -1.0; }, "drift_rotation"));
   EXPECT_TRUE(refused([](auto& o) { o.drift_residual = 0.0; }, "drift_residual"));

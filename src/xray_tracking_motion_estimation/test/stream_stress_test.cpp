@@ -191,7 +191,7 @@ TEST_P(StreamStress, NothingGrowsNothingStaleGateShutInDoubt)
     const Matrix6d covariance = covarianceAtOrigin(pose, sigma.cwiseAbs2().asDiagonal());
     {
       const HeapWatch watch;
-      history.add(stamp, pose);
+      history.add({ stamp, pose, false });
       ASSERT_TRUE(predictor.add(stamp, pose, covariance));
       gate.update(exposure);
     }

@@ -24,22 +24,6 @@ double finiteOrZero(double value)
   return std::isfinite(value) ? value : 0.0;
 }
 
-/// Covariance of (translation of the patient frame's origin, rotation), of that of the twist about the target.
-Eigen::Matrix<double, 6, 6> poseCovariance(const RegistrationResult& result, const Eigen::Vector3d& target_centre)
-{
-  if (!result.covariance.allFinite())
-  {
-    return Eigen::Matrix<double, 6, 6>::Zero();
-  }
-  Eigen::Matrix<double, 6, 6> pose_from_twist = Eigen::Matrix<double, 6, 6>::Zero();
-  // The origin moves by translation + rotation x lever.
-  const Eigen::Vector3d lever = -(result.room_from_patient.linear() * target_centre);
-  pose_from_twist.topLeftCorner<3, 3>() = -skew(lever);
-  pose_from_twist.topRightCorner<3, 3>().setIdentity();
-  pose_from_twist.bottomLeftCorner<3, 3>().setIdentity();
-  return pose_from_twist * result.covariance * pose_from_twist.transpose();
-}
-
 void readBound(const char* key, double value, double millimetres_per_unit, double& bound)
 {
   requireOption(value >= 0.0 && std::isfinite(value), key, value, "0 (the node's own) or more");
@@ -176,7 +160,7 @@ RefinementResult resultMessage(const RegistrationResult& result, const Eigen::Ve
                     static_cast<int>(RegistrationStatus::INVALID) == RefinementResult::INVALID,
                 "the library's states begin the message's");
   RefinementResult message = resultMessage(static_cast<std::uint8_t>(result.status), result.reason);
-  message.pose = poseWithCovarianceMsg(result.room_from_patient, poseCovariance(result, target_centre));
+  message.pose = poseWithCovarianceMsg(result.room_from_patient, result.poseCovariance(target_centre));
   message.probability = finiteOrZero(result.probability);
   message.similarity_before = finiteOrZero(result.similarity_before);
   message.similarity_after = finiteOrZero(result.similarity_after);

@@ -116,13 +116,6 @@ RunSupervisorRos::RunSupervisorRos(ros::NodeHandle nh, ros::NodeHandle pnh)
   {
     throw std::invalid_argument("~start_mode is '" + start_mode + "', expected simulator or playback");
   }
-  const std::string method = readParameter<std::string>(pnh, "method", "tracking");
-  if (method != "tracking" && method != "registration" && method != "tracking_and_registration")
-  {
-    throw std::invalid_argument("~method is '" + method +
-                                "', expected tracking, registration or tracking_and_registration");
-  }
-  registers_ = method != "tracking";
   playback_ = start_mode == "playback";
   start_service_ = nh.resolveName(readParameter<std::string>(pnh, "start_service", "start"));
 
@@ -158,10 +151,6 @@ RunSupervisorRos::RunSupervisorRos(ros::NodeHandle nh, ros::NodeHandle pnh)
                                                        }));
   }
   subscribers_.push_back(nh.subscribe("patient_motion", 1000, &RunSupervisorRos::motionCallback, this));
-  if (registers_)
-  {
-    subscribers_.push_back(nh.subscribe("refined_pose", 1000, &RunSupervisorRos::refinedPoseCallback, this));
-  }
   // It would count wrong if it missed the first messages.
   for (const ros::Subscriber& subscriber : subscribers_)
   {
@@ -254,22 +243,8 @@ void RunSupervisorRos::motionCallback(const PatientMotion& message)
   {
     return;
   }
-  not_ready_ += message.state == PatientMotion::WAITING ? 1 : 0;
   last_event_ = ros::WallTime::now();
   printProgress(message);
-}
-
-void RunSupervisorRos::refinedPoseCallback(const xray_tracking_msgs::RefinedPose& message)
-{
-  if (refined_.insert(message.header.stamp).second)
-  {
-    last_event_ = ros::WallTime::now();
-  }
-}
-
-std::size_t RunSupervisorRos::answered() const
-{
-  return registers_ ? std::min(motions_.size(), refined_.size() + not_ready_) : motions_.size();
 }
 
 void RunSupervisorRos::printProgress(const PatientMotion& message)
@@ -287,7 +262,8 @@ void RunSupervisorRos::printProgress(const PatientMotion& message)
   if (message.state == PatientMotion::OK)
   {
     const geometry_msgs::Vector3& t = message.translation;
-    std::snprintf(text, sizeof(text), ", displacement %.2f mm, disagreement %.2f px, correlation",
+    std::snprintf(text, sizeof(text), ", %s, displacement %.2f mm, disagreement %.2f px, correlation",
+                  message.source == PatientMotion::REGISTERED ? "registered" : "tracked",
                   std::hypot(t.x, t.y, t.z) * kMillimetresPerMetre, message.disagreement);
     line += text;
     for (const auto& [name, counts] : detectors_)
@@ -313,7 +289,7 @@ void RunSupervisorRos::tick()
     print("everything is connected, the run begins");
   }
   const double quiet_s = (now - last_event_).toSec();
-  if (answered() >= exposures_)
+  if (motions_.size() >= exposures_)
   {
     if (quiet_s >= kFlushTime)
     {
@@ -332,14 +308,9 @@ void RunSupervisorRos::tick()
 void RunSupervisorRos::printStall()
 {
   char text[160];
-  std::snprintf(text, sizeof(text), "stalled: %zu of %zu exposures were answered, no new patient_motion%s for %.1f s",
-                answered(), exposures_, registers_ ? " or refined_pose" : "", stall_timeout_s_);
+  std::snprintf(text, sizeof(text), "stalled: %zu of %zu exposures were answered, no new patient_motion for %.1f s",
+                motions_.size(), exposures_, stall_timeout_s_);
   print(text);
-  if (registers_)
-  {
-    print("  " + std::to_string(motions_.size()) + " answers on patient_motion, " + std::to_string(refined_.size()) +
-          " on refined_pose");
-  }
   if (!started_)
   {
     const std::lock_guard<std::mutex> lock(waiting_for_mutex_);

@@ -18,8 +18,8 @@ namespace xray_tracking
 {
 namespace
 {
-constexpr const char* kTracking = "tracking";
-constexpr const char* kTrackingAndRegistration = "tracking_and_registration";
+/// Of what the registration said by itself, beside the poses that were published.
+constexpr const char* kRegistration = "registration";
 
 using xray_tracking_msgs::BeamGate;
 using xray_tracking_msgs::PatientMotion;
@@ -77,9 +77,14 @@ void readMessage(const rosbag::MessageInstance& instance, const std::string& top
     if (const auto motion = instance.instantiate<PatientMotion>())
     {
       stamp_ns = nanosecondsFromTime(motion->header.stamp) - epoch_ns;
-      if (motion->state > PatientMotion::BAD_STAMP)
+      if (motion->state > PatientMotion::UNREGISTERED)
       {
-        throw std::invalid_argument("state is " + std::to_string(motion->state) + ", expected 0 to 5");
+        throw std::invalid_argument("state is " + std::to_string(motion->state) + ", expected 0 to 6");
+      }
+      if (!record.motions.empty() && record.motions.begin()->second.method != motion->method)
+      {
+        throw std::invalid_argument("method is " + motion->method + ", that of others is " +
+                                    record.motions.begin()->second.method);
       }
       insertOnce(record.motions, stamp_ns, *motion);
     }
@@ -118,7 +123,8 @@ void readMessage(const rosbag::MessageInstance& instance, const std::string& top
   record.exposures.insert(stamp_ns);
 }
 
-FrameResult trackingResult(const TrackingRecord& record, std::int64_t stamp_ns)
+/// The pose that was published.
+FrameResult publishedResult(const TrackingRecord& record, std::int64_t stamp_ns)
 {
   FrameResult result;
   const auto motion = record.motions.find(stamp_ns);
@@ -128,6 +134,10 @@ FrameResult trackingResult(const TrackingRecord& record, std::int64_t stamp_ns)
   }
   result.cpu_s = motion->second.cpu_time.toSec();
   result.wall_s = motion->second.wall_time.toSec();
+  if (const auto refined = record.refined_poses.find(stamp_ns); refined != record.refined_poses.end())
+  {
+    result.cpu_s += refined->second.cpu_time.toSec();
+  }
   if (motion->second.state != PatientMotion::OK)
   {
     result.status = FrameStatus::LOST;
@@ -142,6 +152,7 @@ FrameResult trackingResult(const TrackingRecord& record, std::int64_t stamp_ns)
   return result;
 }
 
+/// What the registration said by itself.
 FrameResult refinedResult(const TrackingRecord& record, std::int64_t stamp_ns)
 {
   FrameResult result;
@@ -150,12 +161,8 @@ FrameResult refinedResult(const TrackingRecord& record, std::int64_t stamp_ns)
   {
     return result;
   }
-  if (record.refined_method == kTrackingAndRegistration)
-  {
-    result = trackingResult(record, stamp_ns);
-  }
-  result.cpu_s += refined->second.cpu_time.toSec();
-  result.wall_s += refined->second.wall_time.toSec();
+  result.cpu_s = refined->second.cpu_time.toSec();
+  result.wall_s = refined->second.wall_time.toSec();
   const bool success = refined->second.result.status == RefinementResult::SUCCESS;
   result.status = success ? FrameStatus::OK : FrameStatus::LOST;
   if (success)
@@ -167,24 +174,25 @@ FrameResult refinedResult(const TrackingRecord& record, std::int64_t stamp_ns)
 
 void addMethods(const TrackingRecord& record, Evaluation& evaluation)
 {
-  MethodResult tracking;
-  tracking.method = kTracking;
+  MethodResult published;
+  published.method = record.motions.empty() ? "tracking" : record.motions.begin()->second.method;
   MethodResult refined;
+  refined.method = kRegistration;
   for (const std::int64_t stamp_ns : evaluation.stamps_ns)
   {
-    tracking.frames.push_back(trackingResult(record, stamp_ns));
+    published.frames.push_back(publishedResult(record, stamp_ns));
     refined.frames.push_back(refinedResult(record, stamp_ns));
   }
-  evaluation.methods.push_back(std::move(tracking));
-  if (!record.refined_poses.empty())
+  const bool both = !record.refined_poses.empty() && published.method != kRegistration;
+  evaluation.methods.push_back(std::move(published));
+  if (both)
   {
-    refined.method = record.refined_method;
     evaluation.methods.push_back(std::move(refined));
   }
 }
 
-/// Why tracking has no pose of a frame that is lost or failed.
-std::string trackingReason(const TrackingRecord& record, std::int64_t stamp_ns)
+/// Why no pose of a frame was published.
+std::string publishedReason(const TrackingRecord& record, std::int64_t stamp_ns)
 {
   const auto motion = record.motions.find(stamp_ns);
   if (motion == record.motions.end())
@@ -294,6 +302,7 @@ std::vector<std::string> unansweredExposures(const Evaluation& evaluation, const
   std::vector<std::string> lines;
   for (const MethodResult& method : evaluation.methods)
   {
+    const bool published = &method == &evaluation.methods.front();
     for (std::size_t k = 0; k < method.frames.size(); ++k)
     {
       if (method.frames[k].status == FrameStatus::OK)
@@ -301,11 +310,9 @@ std::vector<std::string> unansweredExposures(const Evaluation& evaluation, const
         continue;
       }
       const std::int64_t stamp_ns = evaluation.stamps_ns[k];
-      const std::string reason =
-          method.method == kTracking ? trackingReason(record, stamp_ns) : refinedReason(record, stamp_ns);
-      lines.push_back("frame " + std::to_string(k) + " (" + secondsText(stamp_ns) + ") " +
-                      (method.method == kTracking ? "" : "of " + method.method + " ") +
-                      (method.frames[k].status == FrameStatus::LOST ? "lost: " : "failed: ") + reason);
+      lines.push_back("frame " + std::to_string(k) + " (" + secondsText(stamp_ns) + ") of " + method.method +
+                      (method.frames[k].status == FrameStatus::LOST ? " lost: " : " failed: ") +
+                      (published ? publishedReason(record, stamp_ns) : refinedReason(record, stamp_ns)));
     }
   }
   return lines;

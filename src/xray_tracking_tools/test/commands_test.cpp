@@ -176,8 +176,8 @@ TEST(EvaluateBag, writesResultsAndNamesTheUnanswered)
                                    " --setup " + folder.file("sequence.yaml"));
   EXPECT_EQ(1, result.status);
   EXPECT_TRUE(contains(result.output, "tracking")) << result.output;
-  EXPECT_TRUE(contains(result.output, "frame 3 (53.0000 s) lost: detector_b lost its region\n")) << result.output;
-  EXPECT_TRUE(contains(result.output, "frame 4 (54.0000 s) failed: no patient_motion\n")) << result.output;
+  EXPECT_TRUE(contains(result.output, "frame 3 (53.0000 s) of tracking lost: detector_b lost its region\n")) << result.output;
+  EXPECT_TRUE(contains(result.output, "frame 4 (54.0000 s) of tracking failed: no patient_motion\n")) << result.output;
   EXPECT_EQ(6U, rowsOf(folder.file("results/tre.csv"), "tracking").size());
   EXPECT_TRUE(std::filesystem::exists(folder.file("results/summary.json")));
 
@@ -197,28 +197,30 @@ TEST(EvaluateBag, judgesARunThatRegistersByTheRegistration)
   using xray_tracking_msgs::RefinementResult;
   const TemporaryFolder folder;
   writeTestSequence(folder);
-  for (const int last : { RefinementResult::SUCCESS, RefinementResult::UNRELIABLE })
+  for (const bool last : { true, false })
   {
-    RecordedRun recorded(folder.file("run.bag"));
+    RecordedRun recorded(folder.file("run.bag"), "tracking_and_registration");
     recorded.answer(ros::Time(50, 0), 1, 2, 3);
-    recorded.motion(ros::Time(51, 0), PatientMotion::LOST, "the views disagree");
-    for (int k = 0; k < 2; ++k)
+    if (last)
     {
-      const int status = k == 1 ? last : RefinementResult::SUCCESS;
-      recorded.refined(ros::Time(50 + k, 0), status, 1, 2, 3);
+      recorded.answer(ros::Time(51, 0), 1, 2, 3);
     }
+    else
+    {
+      recorded.motion(ros::Time(51, 0), PatientMotion::LOST, "the views disagree");
+    }
+    // What the registration refuses was tracked.
+    recorded.refined(ros::Time(50, 0), RefinementResult::SUCCESS, 1, 2, 3);
+    recorded.refined(ros::Time(51, 0), RefinementResult::UNRELIABLE, 1, 2, 3);
     recorded.close();
     const CommandResult result = run("evaluate_bag " + folder.file("run.bag") + " " + folder.file("results") +
-                                     " --setup " + folder.file("sequence.yaml") +
-                                     " --method tracking_and_registration");
-    EXPECT_EQ(last == RefinementResult::SUCCESS ? 0 : 1, result.status) << result.output;
-    EXPECT_TRUE(contains(result.output, "frame 1 (51.0000 s) lost: the views disagree\n")) << result.output;
-    EXPECT_TRUE(contains(result.output, "\ntracking_and_registration ")) << result.output;
+                                     " --setup " + folder.file("sequence.yaml"));
+    EXPECT_EQ(last ? 0 : 1, result.status) << result.output;
+    EXPECT_EQ(!last, contains(result.output,
+                              "frame 1 (51.0000 s) of tracking_and_registration lost: the views disagree\n"))
+        << result.output;
+    EXPECT_TRUE(contains(result.output, "frame 1 (51.0000 s) of registration lost: status 1\n")) << result.output;
   }
-  const CommandResult guessing = run("evaluate_bag " + folder.file("run.bag") + " " + folder.file("results") +
-                                     " --setup " + folder.file("sequence.yaml") + " --method guessing");
-  EXPECT_EQ(1, guessing.status);
-  EXPECT_TRUE(contains(guessing.output, "--method is guessing")) << guessing.output;
 }
 
 TEST(EvaluateBag, saysThatNothingWasVerified)

@@ -1,7 +1,9 @@
 #pragma once
 
 #include <cmath>
+#include <cstdint>
 #include <string>
+#include <utility>
 
 #include <geometry_msgs/PoseStamped.h>
 #include <geometry_msgs/PoseWithCovarianceStamped.h>
@@ -17,14 +19,18 @@ namespace xray_tracking
 class RecordedRun
 {
 public:
-  explicit RecordedRun(const std::string& path) : bag_(path, rosbag::bagmode::Write) {}
+  explicit RecordedRun(const std::string& path, std::string method = "tracking")
+    : method_(std::move(method)), bag_(path, rosbag::bagmode::Write)
+  {
+  }
 
   void motion(const ros::Time& stamp, int state, const std::string& reason = "")
   {
     xray_tracking_msgs::PatientMotion message;
     message.header.stamp = stamp;
-    message.state = state;
+    message.state = static_cast<std::uint8_t>(state);
     message.reason = reason;
+    message.method = method_;
     message.cpu_time = ros::Duration(0.002);
     message.wall_time = ros::Duration(0.003);
     bag_.write("/patient_motion", stamp, message);
@@ -91,6 +97,7 @@ private:
     return pose;
   }
 
+  std::string method_;
   rosbag::Bag bag_;
 };
 

@@ -29,7 +29,6 @@ class Graph:
         self.requests = []
         self.refusals = refusals
         self.motion = self.publisher("patient_motion", PatientMotion)
-        self.refined = self.publisher("refined_pose", RefinedPose)
         self.pose = self.publisher("patient_pose", PoseWithCovarianceStamped)
         self.info = {d: self.publisher(d + "/camera_info", CameraInfo) for d in ("detector_a", "detector_b")}
         self.region = {d: self.publisher(d + "/tracked_region", TrackedRegion) for d in ("detector_a", "detector_b")}
@@ -113,38 +112,6 @@ class RunSupervisorTest(unittest.TestCase):
         finally:
             listener.terminate()
             listener.wait()
-
-    def test_refined_poses_are_waited_for(self):
-        graph = Graph("refined")
-        process = graph.supervise(exposures=2, method="registration")
-        self.wait_for(lambda: len(graph.requests) == 1, "call of start")
-        for k in range(2):
-            graph.expose(k)
-        graph.refined.publish(RefinedPose(header=header(rospy.Time(10))))
-        time.sleep(2.0)
-        self.assertIsNone(process.poll(), "ended before the last refined pose")
-        graph.refined.publish(RefinedPose(header=header(rospy.Time(11))))
-        status, output = self.end_of(process)
-        self.assertEqual(status, 0, output)
-
-        graph = Graph("not_ready")
-        process = graph.supervise(exposures=2, method="tracking_and_registration")
-        self.wait_for(lambda: len(graph.requests) == 1, "call of start")
-        graph.expose(0, state=PatientMotion.WAITING)
-        graph.expose(1)
-        graph.refined.publish(RefinedPose(header=header(rospy.Time(11))))
-        status, output = self.end_of(process)
-        self.assertEqual(status, 0, output)
-
-        graph = Graph("unrefined")
-        process = graph.supervise(exposures=2, method="tracking_and_registration", stall_timeout=2.0)
-        self.wait_for(lambda: len(graph.requests) == 1, "call of start")
-        for k in range(2):
-            graph.expose(k)
-        status, output = self.end_of(process)
-        self.assertEqual(status, 1, output)
-        self.assertIn("stalled: 0 of 2 exposures were answered, no new patient_motion or refined_pose", output)
-        self.assertIn("2 answers on patient_motion, 0 on refined_pose", output)
 
     def test_playback(self):
         graph = Graph("playback", service=SetBool)

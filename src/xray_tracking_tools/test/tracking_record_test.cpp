@@ -71,9 +71,9 @@ TEST(TrackingRecord, judgesALiveRun)
 
   const std::vector<std::string> unanswered = unansweredExposures(evaluation, record);
   ASSERT_EQ(3U, unanswered.size());
-  EXPECT_EQ("frame 3 (53.0000 s) lost: detector_b lost its region", unanswered[0]);
-  EXPECT_EQ("frame 4 (54.0000 s) failed: no patient_motion", unanswered[1]);
-  EXPECT_EQ("frame 5 (55.0000 s) lost: the views disagree by 9 px", unanswered[2]);
+  EXPECT_EQ("frame 3 (53.0000 s) of tracking lost: detector_b lost its region", unanswered[0]);
+  EXPECT_EQ("frame 4 (54.0000 s) of tracking failed: no patient_motion", unanswered[1]);
+  EXPECT_EQ("frame 5 (55.0000 s) of tracking lost: the views disagree by 9 px", unanswered[2]);
 }
 
 TEST(TrackingRecord, judgesWithoutGoldStandard)
@@ -92,51 +92,61 @@ TEST(TrackingRecord, judgesWithoutGoldStandard)
   EXPECT_LT((frames[0].room_from_patient.translation() - Eigen::Vector3d(1, 2, 3)).norm(), 1e-9);
   EXPECT_EQ(FrameStatus::FAILED, frames[1].status);
   EXPECT_EQ(FrameStatus::FAILED, frames[2].status);
-  EXPECT_EQ("frame 2 (9.0000 s) failed: patient_motion without patient_pose",
+  EXPECT_EQ("frame 2 (9.0000 s) of tracking failed: patient_motion without patient_pose",
             unansweredExposures(evaluation, record).at(1));
 }
 
-TEST(TrackingRecord, judgesRefinedPosesAsAMethodOfTheirOwn)
+TEST(TrackingRecord, judgesRefinedPosesBesideThePublishedOnes)
 {
   using xray_tracking_msgs::RefinementResult;
   const TemporaryFolder folder;
-  for (const std::string method : { "registration", "tracking_and_registration" })
+  RecordedRun run(folder.file("run.bag"), "tracking_and_registration");
+  for (int k = 0; k < 4; ++k)
   {
-    RecordedRun run(folder.file("run.bag"));
-    for (int k = 0; k < 4; ++k)
-    {
-      run.truth(ros::Time(50 + k, 0), 0, 0, 0);
-      run.answer(ros::Time(50 + k, 0), 0, 3, 0);
-    }
-    run.refined(ros::Time(50, 0), RefinementResult::SUCCESS, 0, 0, 0);
-    run.refined(ros::Time(51, 0), RefinementResult::SUCCESS, 0.25, 0, 0);
-    run.refined(ros::Time(52, 0), RefinementResult::UNRELIABLE, 9, 9, 9);
-    run.close();
-    TrackingRecord record = readTrackingRecord(folder.file("run.bag"), 0);
-    EXPECT_EQ("registration", record.refined_method);
-    record.refined_method = method;
-    const Evaluation evaluation = evaluateRecord(record, "phantom", kBox);
-    ASSERT_EQ(2U, evaluation.methods.size());
-    EXPECT_EQ("tracking", evaluation.methods[0].method);
-    EXPECT_EQ(method, evaluation.methods[1].method);
-    const std::vector<FrameResult>& frames = evaluation.methods[1].frames;
-    ASSERT_EQ(4U, frames.size());
-    EXPECT_EQ(FrameStatus::OK, frames[1].status);
-    EXPECT_EQ(FrameStatus::LOST, frames[2].status);
-    EXPECT_EQ(FrameStatus::FAILED, frames[3].status);
-    // Registration after tracking has cost tracking too.
-    const bool after = method == "tracking_and_registration";
-    EXPECT_NEAR(after ? 0.032 : 0.03, frames[2].cpu_s, 1e-12);
-    EXPECT_NEAR(after ? 0.023 : 0.02, frames[2].wall_s, 1e-12);
-    const std::vector<MethodSummary> summaries = summarize(evaluation);
-    ASSERT_EQ(3U, summaries.size());
-    EXPECT_EQ(3U, summaries[1].tre_mm.size());
-    ASSERT_EQ(1U, summaries[2].tre_mm.size());
-    EXPECT_NEAR(0.25, summaries[2].tre_mm[0], 1e-9);
-    EXPECT_EQ(std::vector<std::string>({ "frame 2 (52.0000 s) of " + method + " lost: status 1",
-                                         "frame 3 (53.0000 s) of " + method + " failed: no refined_pose" }),
-              unansweredExposures(evaluation, record));
+    run.truth(ros::Time(50 + k, 0), 0, 0, 0);
+    run.answer(ros::Time(50 + k, 0), 0, 3, 0);
   }
+  run.refined(ros::Time(50, 0), RefinementResult::SUCCESS, 0, 0, 0);
+  run.refined(ros::Time(51, 0), RefinementResult::SUCCESS, 0.25, 0, 0);
+  run.refined(ros::Time(52, 0), RefinementResult::UNRELIABLE, 9, 9, 9);
+  run.close();
+  const TrackingRecord record = readTrackingRecord(folder.file("run.bag"), 0);
+  const Evaluation evaluation = evaluateRecord(record, "phantom", kBox);
+  ASSERT_EQ(2U, evaluation.methods.size());
+  EXPECT_EQ("tracking_and_registration", evaluation.methods[0].method);
+  EXPECT_EQ("registration", evaluation.methods[1].method);
+  const std::vector<FrameResult>& published = evaluation.methods[0].frames;
+  const std::vector<FrameResult>& frames = evaluation.methods[1].frames;
+  ASSERT_EQ(4U, frames.size());
+  EXPECT_EQ(FrameStatus::OK, frames[1].status);
+  EXPECT_EQ(FrameStatus::LOST, frames[2].status);
+  EXPECT_EQ(FrameStatus::FAILED, frames[3].status);
+  // What was published has cost the registration too, and waited for it.
+  EXPECT_NEAR(0.032, published[2].cpu_s, 1e-12);
+  EXPECT_NEAR(0.002, published[3].cpu_s, 1e-12);
+  EXPECT_NEAR(0.003, published[2].wall_s, 1e-12);
+  EXPECT_NEAR(0.03, frames[2].cpu_s, 1e-12);
+  EXPECT_NEAR(0.02, frames[2].wall_s, 1e-12);
+  const std::vector<MethodSummary> summaries = summarize(evaluation);
+  ASSERT_EQ(3U, summaries.size());
+  EXPECT_EQ(3U, summaries[1].tre_mm.size());
+  ASSERT_EQ(1U, summaries[2].tre_mm.size());
+  EXPECT_NEAR(0.25, summaries[2].tre_mm[0], 1e-9);
+  EXPECT_EQ(std::vector<std::string>({ "frame 2 (52.0000 s) of registration lost: status 1",
+                                       "frame 3 (53.0000 s) of registration failed: no refined_pose" }),
+            unansweredExposures(evaluation, record));
+}
+
+TEST(TrackingRecord, registeredPosesThatWerePublishedAreJudgedOnce)
+{
+  const TemporaryFolder folder;
+  RecordedRun run(folder.file("run.bag"), "registration");
+  run.answer(ros::Time(50, 0), 0, 3, 0);
+  run.refined(ros::Time(50, 0), xray_tracking_msgs::RefinementResult::SUCCESS, 0, 3, 0);
+  run.close();
+  const Evaluation evaluation = evaluateRecord(readTrackingRecord(folder.file("run.bag"), 0), "phantom", kBox);
+  ASSERT_EQ(1U, evaluation.methods.size());
+  EXPECT_EQ("registration", evaluation.methods[0].method);
 }
 
 TEST(TrackingRecord, judgesAPlayedSequence)

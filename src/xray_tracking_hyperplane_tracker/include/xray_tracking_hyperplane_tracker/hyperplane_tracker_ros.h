@@ -93,8 +93,6 @@ private:
   // All below run in the worker thread.
   void work();
   void configure();
-  /// Takes the scale of lengths, and the region if none was given, from the setup's detector.
-  void adoptGeometry(const TreatmentSetup& setup);
   void makeTracker();
   void adoptSettings();
   void process(const Arrival& arrival);
@@ -133,7 +131,6 @@ private:
   std::optional<ViewTracker> tracker_;            ///< none: the configuration is faulty
   HyperplaneTracker* hyperplane_ = nullptr;       ///< the tracker's, if that is the method
   TemplateRegistration* registration_ = nullptr;  ///< else this one
-  std::optional<cv::Rect> configured_region_;     ///< of parameters or setup file
   sensor_msgs::ImageConstPtr reference_;          ///< that the template was trained on
   ros::SteadyTime training_end_;
   StampPolicy stamps_;

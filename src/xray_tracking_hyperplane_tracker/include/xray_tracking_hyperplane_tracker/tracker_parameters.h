@@ -7,6 +7,7 @@
 #include <ros/node_handle.h>
 #include <opencv2/core.hpp>
 
+#include "xray_tracking_core/sequence/treatment_setup.h"
 #include "xray_tracking_hyperplane_tracker/hyperplane_tracker.h"
 #include "xray_tracking_hyperplane_tracker/template_registration.h"
 
@@ -44,6 +45,10 @@ struct TrackerParameters
 
   /// Sets the trackers' options to these lengths. @param pixel size of the detector's pixels at the target [mm]
   void scaleTo(double pixel);
+
+  /// Takes the scale of lengths, and the region if there is none, from the setup's `detector`.
+  /// @throws std::invalid_argument if there is no such detector, or the target is behind its source
+  void adopt(const TreatmentSetup& setup);
 
   /// @throws std::invalid_argument naming the parameter, its value and what was expected
   void validate() const;

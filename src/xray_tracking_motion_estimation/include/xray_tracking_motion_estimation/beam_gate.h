@@ -43,7 +43,8 @@ struct BeamGateOptions
   /// Distance of the target's centre from its planned place [mm], > 0.
   double max_displacement = 3.0;
 
-  /// Rotation of the target from its planned one [rad], > 0.
+  /// Rotation of the target from its planned one [rad], > 0, its standard deviation about the worst axis included (root
+  /// of the sum of squares): what no track measures of a rotation is not taken for none.
   double max_rotation = 0.0524;
 
   /// Standard deviation of the target's centre in its worst direction [mm], > 0.
@@ -79,8 +80,12 @@ struct GateExposure
   /// Why this exposure's pose might be worse than its covariance says; empty if there is no such doubt.
   std::string doubt;
 
+  /// The pose is an accepted registration's: it verifies itself, and no jump is left unconfirmed.
+  bool registered = false;
+
   Eigen::Vector3d displacement = Eigen::Vector3d::Zero();  ///< target's centre from its planned place, room axes [mm]
   double rotation = 0.0;                                   ///< from the planned one [rad]
+  double rotation_variance = 0.0;  ///< of the rotation about its worst axis, what nobody measures included [rad^2]
   Eigen::Matrix3d covariance = Eigen::Matrix3d::Zero();    ///< of the displacement [mm^2]
 };
 
@@ -99,13 +104,11 @@ public:
   /// @param now monotonic clock [ns]
   bool tick(std::int64_t now);
 
-  /// A refinement was accepted: what moved the target's displacement by `correction` [mm] is no motion. A jump up to
-  /// the refined exposure is confirmed by it.
+  /// A refinement of an earlier exposure was accepted, which verifies its pose: what moved the target's displacement by
+  /// `correction` [mm] is no motion. A jump up to the refined exposure is confirmed by it.
   /// @param stamp the refined exposure's [ns]; @param rotation of the target from its planned one by now [rad]
-  /// @param tracked that exposure had a pose for the refinement to agree with, which verifies it; otherwise the pose is
-  /// the registration's alone, which one of the next exposures has to verify
   /// @return true if reason() has changed
-  bool refined(std::int64_t stamp, const Eigen::Vector3d& correction, double rotation, bool tracked);
+  bool refined(std::int64_t stamp, const Eigen::Vector3d& correction, double rotation);
 
   /// A refinement was not accepted, see PoseVerification. @return true if reason() has changed
   bool refused(const std::string& why, bool contradicts);
@@ -137,10 +140,10 @@ private:
     std::string text;
   };
   Verdict judge(const GateExposure& exposure) const;
-  /// JUMP or NONE, by the latest place before.
+  /// JUMP or NONE, by the latest place before. Of a registered pose NONE.
   Verdict judgeSpeed(const GateExposure& exposure) const;
   /// DISPLACED or NONE.
-  Verdict judgePlace(const Eigen::Vector3d& displacement, double rotation) const;
+  Verdict judgePlace() const;
   bool change(Verdict verdict);
   /// After something about the verification has changed.
   bool reviewVerification();
@@ -158,6 +161,7 @@ private:
   boost::circular_buffer<std::int64_t> intervals_;
   Eigen::Vector3d displacement_ = Eigen::Vector3d::Zero();
   double rotation_ = 0.0;
+  double rotation_variance_ = 0.0;
 
   std::optional<std::pair<std::int64_t, Eigen::Vector3d>> last_place_;  ///< stamp, displacement; latest with a pose
   int good_ = 0;

@@ -1,16 +1,10 @@
 #pragma once
 
-#include <cstdint>
 #include <string>
-#include <vector>
 
 #include <ros/node_handle.h>
 
-#include "xray_tracking_motion_estimation/beam_gate.h"
-#include "xray_tracking_motion_estimation/consistency_monitor.h"
-#include "xray_tracking_motion_estimation/motion_estimator.h"
-#include "xray_tracking_motion_estimation/pose_predictor.h"
-#include "xray_tracking_motion_estimation/refinement_policy.h"
+#include "xray_tracking_motion_estimation/motion_monitor.h"
 
 namespace xray_tracking
 {
@@ -18,18 +12,10 @@ namespace xray_tracking
 struct MotionEstimationParameters
 {
   std::string setup_file;
-  std::vector<std::string> detectors;
   bool bone_shape = false;  ///< the target's shape is that of its bone; otherwise it is not known
-  MotionEstimationOptions estimation;
-  ConsistencyOptions consistency;
-  ConsistencyOptions rigid_consistency;  ///< beyond which the views of a rigid target differ
-  PosePredictorOptions prediction;
-  BeamGateOptions gate;
-  RefinementPolicyOptions refinement;
-  int queue_size = 100;            ///< exposures
-  double view_timeout = 2.0;       ///< [s]
-  double pairing_tolerance = 0.0;  ///< of the stamps of one exposure [s]
-  double target_speed = 15.0;      ///< standard deviation along any axis [mm/s], for what a tolerance lets through
+  MotionMonitorOptions monitor;
+  int queue_size = 100;       ///< exposures that wait for the rest of their views
+  double view_timeout = 2.0;  ///< [s]
 };
 
 /// Of the node's private namespace; warns of parameters that it does not know.

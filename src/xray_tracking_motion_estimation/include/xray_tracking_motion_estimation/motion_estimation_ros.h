@@ -2,9 +2,9 @@
 
 #include <cstdint>
 #include <future>
+#include <memory>
 #include <optional>
 #include <string>
-#include <utility>
 #include <vector>
 
 #include <diagnostic_updater/diagnostic_updater.h>
@@ -14,27 +14,25 @@
 #include <tf2_ros/buffer.h>
 #include <tf2_ros/transform_broadcaster.h>
 #include <tf2_ros/transform_listener.h>
-#include <boost/circular_buffer.hpp>
 
-#include <xray_tracking_msgs/PatientMotion.h>
+#include <xray_tracking_msgs/RefinePose.h>
 #include <xray_tracking_msgs/TrackedRegion.h>
+#include <xray_tracking_msgs/TrainRegion.h>
 
 #include "xray_tracking_core/sequence/treatment_setup.h"
-#include "xray_tracking_motion_estimation/beam_gate_ros.h"
+#include "xray_tracking_motion_estimation/beam_gate_publisher.h"
 #include "xray_tracking_motion_estimation/camera_info_watch.h"
-#include "xray_tracking_motion_estimation/consistency_monitor.h"
 #include "xray_tracking_motion_estimation/exposure_assembler.h"
 #include "xray_tracking_motion_estimation/motion_estimation_parameters.h"
-#include "xray_tracking_motion_estimation/motion_estimator.h"
-#include "xray_tracking_motion_estimation/pose_history.h"
-#include "xray_tracking_motion_estimation/pose_predictor.h"
-#include "xray_tracking_motion_estimation/refinement_client.h"
-#include "xray_tracking_motion_estimation/refinement_policy.h"
+#include "xray_tracking_motion_estimation/motion_monitor.h"
+#include "xray_tracking_motion_estimation/motion_report.h"
+#include "xray_tracking_motion_estimation/service_caller.h"
 
 namespace xray_tracking
 {
-/// The 3D motion of the patient from the regions tracked in two or more detectors; the only one that publishes tf
-/// treatment_room -> patient. Topics and parameters: README.md. All callbacks must come from one thread; none blocks.
+/// The patient's pose from the regions tracked in two or more detectors and from registrations: the only one that
+/// publishes tf treatment_room -> patient. Translates between ROS and MotionMonitor, which decides. Topics and
+/// parameters: README.md. All callbacks must come from one thread; none blocks.
 ///
 /// Parameters that it cannot work with are reported in the log and in diagnostics; it then stays idle, its
 /// beam gate closed.
@@ -45,23 +43,9 @@ public:
   ~MotionEstimationRos();
 
 private:
-  using PatientMotion = xray_tracking_msgs::PatientMotion;
   using TrackedRegion = xray_tracking_msgs::TrackedRegion;
-
-  /// Why a view takes no part in an exposure; OK if it does.
-  struct Doubt
-  {
-    std::uint8_t state = PatientMotion::OK;
-    std::string reason;
-  };
-
-  /// What a view's tracks are relative to.
-  struct Reference
-  {
-    ros::Time template_stamp;          ///< exposure that the template was trained on
-    RigidTransform room_from_patient;  ///< at that exposure, or at the anchor's
-    std::optional<Track> anchor = {};  ///< how the template was tracked in an exposure whose pose was refined
-  };
+  using RefinePose = xray_tracking_msgs::RefinePose;
+  using TrainRegion = xray_tracking_msgs::TrainRegion;
 
   struct View
   {
@@ -69,56 +53,35 @@ private:
     ros::Subscriber camera_info_subscriber;
     ros::Subscriber tracked_region_subscriber;
     CameraInfoWatch camera_info;
-    RigidTransform room_from_optical;    ///< the one that the estimator uses, if there is one
-    std::optional<Reference> reference;  ///< of the template in use
-    Doubt doubt;                         ///< of the last exposure
-    std::string logged_doubt;            ///< while the others made a pose
+    RigidTransform room_from_optical;  ///< the one that the monitor uses, if there is one
     ros::SteadyTime last_arrival;
-    bool silent = false;       ///< not waited for while two others are there
-    std::string logged_fault;  ///< of camera_info
+    bool silent = false;  ///< not waited for while two others are there
+    std::unique_ptr<ServiceCaller<TrainRegion>> trainer;
   };
 
   void start();
+  void subscribe(View& view, std::size_t index);
   void trackedRegionCb(const TrackedRegion::ConstPtr& message, std::size_t view);
-  void timerCb(const ros::SteadyTimerEvent& event);
-
-  // Of the last complete exposure, in exposure_estimation.cpp. What they say to `motion` is why there is no pose.
-  std::optional<MotionEstimate> estimate(PatientMotion& motion);
-  /// @param region null if the view was not waited for
-  Doubt doubtOfState(const View& view, const TrackedRegion* region) const;
-  /// @return false, and the worst doubt in `motion`, if fewer than two views take part
-  bool enoughViews(PatientMotion& motion) const;
-  /// Makes the estimator, or sees whether the geometry is still the one that it was made with; never estimates with
-  /// another. @return what is wrong; empty if nothing is
-  std::string checkGeometry();
-  /// Doubts views whose reference exposure's pose is not known.
-  void findReferences();
-  /// Of the first templates' exposures: whether the patient was at the initial pose then.
-  void judgeStart(const ros::Time& first, const ros::Time& last);
-  /// How a view tracked an exposure, with what it may have moved by between the views. @param offset of its stamp [ns]
-  Track trackOf(std::size_t view, const TrackedRegion& region, std::int64_t offset) const;
-  ViewMeasurement measure(std::size_t view) const;
-  void judgeConsistency(const MotionEstimate& estimate, PatientMotion& motion);
-
-  void publishPose(const MotionEstimate& estimate, const ros::Time& stamp);
-  void publishPrediction();
-  void setSilent(std::size_t view, bool silent);
-  void tellGate(const PatientMotion& motion, const std::optional<MotionEstimate>& estimate);
-  Eigen::Vector3d displacement(const RigidTransform& room_from_patient) const;
-  void forget();
-
-  // Refinement by registration, in motion_refinement.cpp.
-  void startRefinement();
   bool refineCb(std_srvs::Trigger::Request& request, std_srvs::Trigger::Response& response);
-  void refinementCb(const ros::SteadyTimerEvent& event);
-  /// Tells the policy of the last complete exposure.
-  void considerRefinement(const PatientMotion& motion, const std::optional<MotionEstimate>& estimate);
-  void accept(const Refinement& refinement);
+  bool restartCb(std_srvs::Trigger::Request& request, std_srvs::Trigger::Response& response);
+  void watchdogCb(const ros::SteadyTimerEvent& event);
+  void deadlineCb(const ros::SteadyTimerEvent& event);
+  void reportCb(const ros::SteadyTimerEvent& event);
 
-  // For people, in motion_estimation_diagnostics.cpp.
-  void report(const PatientMotion& motion);
-  void logMotion();
+  /// Gives the geometry to the monitor, or sees whether it is still the one that it has. @return what is wrong; empty
+  /// if nothing is
+  std::string checkGeometry();
+  void setSilent(std::size_t view, bool silent);
+  /// Does what the monitor has decided.
+  void settle();
+  void publish(const MotionDecision& decision);
+  void publishPrediction();
+  void publishGate();
+  void ask(const RefinementRequest& request);
+  void train(const RegionProposal& proposal);
   void diagnose(diagnostic_updater::DiagnosticStatusWrapper& status);
+  std::vector<ViewReport> viewReports() const;
+  AssemblyCounts assemblyCounts() const;
 
   ros::NodeHandle nh_;
   ros::NodeHandle pnh_;
@@ -126,46 +89,17 @@ private:
   MotionEstimationParameters parameters_;
   TreatmentSetup setup_;
   std::shared_future<TargetShape> shape_;  ///< may have to be read from a CT
-
   std::vector<View> views_;
   std::optional<ExposureAssembler<TrackedRegion::ConstPtr>> assembler_;
-  std::vector<ProjectionGeometry> geometries_;  ///< what the first estimator was made with; empty before
-  RigidTransform reference_;                    ///< pose that motion is counted from: the setup's until it is refined
-  Matrix6d reference_covariance_ = Matrix6d::Zero();  ///< of the target's centre and rotation
-  std::optional<MotionEstimator> estimator_;
-  std::string observability_;  ///< of the geometry, for people
-  std::optional<ConsistencyMonitor> consistency_;
-  std::optional<ConsistencyMonitor> rigid_consistency_;  ///< refuses nothing
-  PoseHistory history_;
-  /// The last pose that is known, measured or refined, and its stamp [ns].
-  std::optional<std::pair<std::int64_t, RigidTransform>> last_pose_;
-  std::vector<std::optional<ViewMeasurement>> measurements_;
-  std::optional<BeamGateRos> gate_;
-  ros::Time started_;                      ///< this node; zero until a simulated clock has come
-  std::optional<ros::Time> first_heard_;   ///< earliest exposure since the start
-  std::optional<ros::Time> first_unseen_;  ///< first exposure that gave a view no template while nothing was measured
-  std::optional<PosePredictor> predictor_;
-  std::optional<RefinementPolicy> refinement_;
-  std::optional<RefinementClient> refinement_client_;
-  /// The latest exposures' tracks, which a refinement anchors; one a view, null if it was not waited for.
-  struct TrackedViews
-  {
-    std::int64_t stamp;
-    std::vector<TrackedRegion::ConstPtr> regions;
-    std::vector<std::int64_t> offsets;  ///< of the regions' stamps [ns]
-  };
-  boost::circular_buffer<TrackedViews> tracked_views_;
+  bool has_geometry_ = false;
+  std::optional<MotionMonitor> monitor_;
+  MotionReport report_;
+  BeamGate idle_gate_;  ///< of a node that cannot work
 
-  std::optional<PatientMotion> last_motion_;
-  std::string logged_reason_;  ///< of the last motion that was logged
+  ros::Time started_;     ///< this node; zero until a simulated clock has come
+  ros::Time first_heard_;  ///< earliest exposure since the start; zero before
+  ros::Time latest_;      ///< exposure that was decided last
   ros::SteadyTime first_arrival_;
-  ros::SteadyTime last_exposure_;  ///< when the last one was complete
-  std::size_t exposures_ = 0;
-  std::size_t poses_ = 0;
-  std::size_t differing_ = 0;  ///< exposures whose views differed
-  std::size_t exposures_at_last_diagnosis_ = 0;
-  std::size_t drops_at_last_warning_ = 0;
-  ros::SteadyTime last_diagnosis_;
 
   tf2_ros::Buffer tf_buffer_;
   tf2_ros::TransformListener tf_listener_;
@@ -173,9 +107,14 @@ private:
   ros::Publisher pose_publisher_;
   ros::Publisher motion_publisher_;
   ros::Publisher prediction_publisher_;
+  BeamGatePublisher gate_publisher_;
   ros::ServiceServer refine_server_;
+  ros::ServiceServer restart_server_;
+  std::uint64_t asked_ = 0;  ///< the request that the registration is at
+  std::unique_ptr<ServiceCaller<RefinePose>> registration_;
   diagnostic_updater::Updater updater_;
-  ros::SteadyTimer refinement_timer_;
-  ros::SteadyTimer timer_;
+  ros::SteadyTimer watchdog_;
+  ros::SteadyTimer deadline_timer_;
+  ros::SteadyTimer report_timer_;
 };
 }  // namespace xray_tracking

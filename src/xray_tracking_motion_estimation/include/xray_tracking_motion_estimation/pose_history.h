@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <cstdint>
 #include <optional>
-#include <utility>
 
 #include <boost/circular_buffer.hpp>
 
@@ -21,32 +20,38 @@ public:
   bool empty() const { return poses_.empty(); }
   void clear() { poses_.clear(); }
 
-  /// @param stamp exposure time [ns]
-  void add(std::int64_t stamp, const RigidTransform& room_from_patient)
+  struct Entry
   {
-    poses_.push_back({ stamp, room_from_patient });
-  }
+    std::int64_t stamp;  ///< exposure time [ns]
+    RigidTransform room_from_patient;
+    bool registered;  ///< otherwise tracked, from the last registered one on
+  };
 
-  /// room_from_patient at the exposure of exactly this stamp, if it is known.
-  std::optional<RigidTransform> at(std::int64_t stamp) const
+  void add(const Entry& entry) { poses_.push_back(entry); }
+
+  /// The exposure of exactly this stamp, if its pose is known.
+  std::optional<Entry> at(std::int64_t stamp) const
   {
-    // The latest first: templates are trained on recent exposures.
+    // The latest first: templates are trained on recent exposures, and what was added last is known best.
     const auto entry =
-        std::find_if(poses_.rbegin(), poses_.rend(), [&](const auto& pose) { return pose.first == stamp; });
-    return entry == poses_.rend() ? std::nullopt : std::make_optional(entry->second);
+        std::find_if(poses_.rbegin(), poses_.rend(), [&](const Entry& pose) { return pose.stamp == stamp; });
+    return entry == poses_.rend() ? std::nullopt : std::make_optional(*entry);
   }
 
-  /// Replaces every pose by what `correct(pose)` makes of it.
+  /// Replaces every tracked pose by what `correct(pose)` makes of it.
   template <typename Function>
-  void transform(const Function& correct)
+  void correctTracked(const Function& correct)
   {
-    for (auto& entry : poses_)
+    for (Entry& entry : poses_)
     {
-      entry.second = correct(entry.second);
+      if (!entry.registered)
+      {
+        entry.room_from_patient = correct(entry.room_from_patient);
+      }
     }
   }
 
 private:
-  boost::circular_buffer<std::pair<std::int64_t, RigidTransform>> poses_;
+  boost::circular_buffer<Entry> poses_;
 };
 }  // namespace xray_tracking

@@ -29,7 +29,7 @@ struct PoseVerificationOptions
 
 /// Whether the poses that tracks lead to are verified. Tracks tell how the target moved, not where it was at first: the
 /// initial pose is a claim. What verifies it is an accepted refinement: the registration believes a pose, and the
-/// tracks agree with it. After one that was refused it takes two in a row: who asks often enough about a wrong pose
+/// tracks, or the registrations before, agree with it. After one that was refused it takes two in a row: who asks often enough about a wrong pose
 /// will be told once that it is right.
 ///
 /// No clock of its own; stamps are those of exposures [ns].
@@ -48,7 +48,7 @@ public:
   /// The latest exposure. @param interval between exposures [ns]
   void update(std::int64_t stamp, std::int64_t interval);
 
-  /// An accepted refinement of a tracked exposure, later than the one before.
+  /// An accepted refinement, of a later exposure than the one before.
   void confirm(std::int64_t stamp);
 
   /// What the registration found was not accepted, or it found nothing.

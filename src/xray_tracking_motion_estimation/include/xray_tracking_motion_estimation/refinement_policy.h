@@ -2,12 +2,10 @@
 
 #include <cstddef>
 #include <cstdint>
-#include <functional>
 #include <optional>
 #include <string>
 
 #include <Eigen/Core>
-#include <boost/circular_buffer.hpp>
 
 #include "xray_tracking_core/geometry/rigid_transform.h"
 #include "xray_tracking_motion_estimation/pose_covariance.h"
@@ -18,7 +16,7 @@ namespace xray_tracking
 enum class RefinementMode
 {
   NEVER,
-  EVERY_FRAME,  ///< every exposure, in order, as far as `queue_size` reaches
+  EVERY_FRAME,  ///< every exposure
   EVERY_N,      ///< every n-th exposure
   ON_DEMAND,    ///< when somebody asks, which is possible in every mode but NEVER
   ON_DRIFT      ///< once the target moved, turned, or the views came apart by more than a threshold since the last one,
@@ -33,10 +31,6 @@ struct RefinementPolicyOptions
   RefinementMode mode = RefinementMode::NEVER;
   int every_n = 30;  ///< exposures, >= 1
 
-  /// EVERY_FRAME: exposures that wait while a request is under way, >= 1; the oldest gives way. With 1 what is refined
-  /// is the latest exposure; more is for those who want all of them.
-  int queue_size = 1;
-
   // Thresholds of ON_DRIFT, each > 0.
   double drift = 3.0;            ///< of the target's centre since the last refinement [mm]
   double drift_rotation = 0.02;  ///< of the target since then [rad]
@@ -49,8 +43,12 @@ struct RefinementPolicyOptions
   double max_correction = 5.0;            ///< of the target's centre [mm]
   double max_correction_rotation = 0.07;  ///< [rad]
 
+  /// Speed that the target's centre can have, >= 0 [mm/s]: by it and the time since the last pose the bound of the
+  /// correction grows where there is no tracked pose, and by it two registrations of the same target may differ.
+  double target_speed = 15.0;
+
   /// Similarity that a refinement must reach, in the units of the registration's measure, which is to grow with the
-  /// match. The seed's is a bound anyway.
+  /// match. The seed's is a bound anyway, but for noise.
   double min_similarity = 0.0;
 
   /// Probability that a good refinement is refused because it seems to contradict the tracked pose, in (0, 1).
@@ -60,14 +58,15 @@ struct RefinementPolicyOptions
   void validate() const;
 };
 
-/// An exposure and what tracking knows of its pose.
-struct TrackedExposure
+/// An exposure and what is known of its pose before it is registered.
+struct RefinementSeed
 {
   std::int64_t stamp;                ///< [ns]
-  RigidTransform room_from_patient;  ///< the last one known, if it is not measured
+  RigidTransform room_from_patient;  ///< the last one known, if it is not tracked
   PoseCovariance covariance;
-  double disagreement;   ///< RMS over the views, at the target [mm]
-  bool measured = true;  ///< false: the views contradict each other, or have lost their regions
+  double disagreement;  ///< RMS over the views, at the target [mm]
+  bool tracked = true;  ///< false: the views contradict each other, or have lost their regions
+  double since = 0.0;   ///< if it is not tracked: time since the last pose that is known [s]
 };
 
 struct RefinementRequest
@@ -75,6 +74,7 @@ struct RefinementRequest
   std::uint64_t id;
   std::int64_t stamp;                ///< exposure that is to be registered [ns]
   RigidTransform room_from_patient;  ///< where to start
+  bool unverified;                   ///< nothing has confirmed where to start
 };
 
 struct RefinementReply
@@ -102,24 +102,35 @@ struct Refinement
   RigidTransform carry(const RigidTransform& tracked_then, const Eigen::Vector3d& target_centre) const;
 };
 
-/// Asks for refinements and judges what comes back; eq. (8)'s reference is then moved by the caller, see
-/// Refinement::carry(). A measured pose is checked against the answer; where there is none, the registration's own
-/// judgement has to do. One request at a time. Never blocks; all methods from one thread.
+/// What an answer came to.
+enum class RefinementVerdict
+{
+  ACCEPTED,
+  REFUSED,       ///< the registration has failed, or is not believed, or its numbers are of no use
+  CONTRADICTS,   ///< it believes a pose that the tracked one contradicts: one of the two is wrong
+  UNCONFIRMED    ///< it believes a pose, and there is no tracked one: the next exposure's has to agree with it
+};
+
+/// Says when to ask for refinements and judges what comes back. One request at a time; all methods from one thread.
+///
+/// A believed pose is accepted if it agrees with the tracked one, by bounds and by chi-square. Registrations that agree
+/// with each other, by the way that the target can have gone meanwhile, outweigh tracks: three in a row those that are
+/// off by more than chi-square allows, if exposures are so dense that this way is less than the bound; three in a row
+/// that contradict them those that are off by up to twice the bound; two in a row those that have lost the target, up to
+/// the bound and the way that the target can have gone since the last pose. So nobody gets to the next vertebra at once.
 class RefinementPolicy
 {
 public:
-  /// Sends a request on its way without waiting. @return false if that is not possible now
-  using Request = std::function<bool(const RefinementRequest&)>;
-
   /// @param target_centre patient frame [mm]
   /// @throws std::invalid_argument for bad options
-  RefinementPolicy(const RefinementPolicyOptions& options, const Eigen::Vector3d& target_centre, Request request);
+  RefinementPolicy(const RefinementPolicyOptions& options, const Eigen::Vector3d& target_centre);
 
-  /// An exposure; asks if it is time to. @param now monotonic clock [ns]
-  void onExposure(const TrackedExposure& exposure, std::int64_t now);
+  /// Whether the next exposure is to be refined; to be called once for each. @param now monotonic clock [ns]
+  bool due(const RefinementSeed& exposure, std::int64_t now);
 
-  /// Asks for what waits, if nothing is under way. @param now monotonic clock [ns]
-  void next(std::int64_t now);
+  /// The request for an exposure, which is under way from here on. Where nothing is tracked and the last registration
+  /// waits to be confirmed, it starts from that one's pose. @throws std::logic_error if there is one under way
+  RefinementRequest ask(const RefinementSeed& exposure, bool unverified, std::int64_t now);
 
   /// Gives up a request that takes too long. @return true if it did
   bool tick(std::int64_t now);
@@ -128,54 +139,65 @@ public:
   /// @return false if the mode is NEVER
   bool demand();
 
-  /// @return nothing if it is refused, lastRefusal() says why; answers to requests given up are ignored. What waits is
-  /// to be asked for by next(), and starts from where the refinement puts it
-  std::optional<Refinement> onReply(const RefinementReply& reply);
+  struct Judgement
+  {
+    RefinementVerdict verdict;
+    std::string reason;                    ///< empty if it is accepted
+    std::optional<Refinement> refinement;  ///< if it is
+  };
+  /// Of the answer to the request under way. @throws std::logic_error if it is to none
+  Judgement judge(const RefinementReply& reply);
 
   /// Time starts again: a request under way and all earlier poses are void.
   void reset();
 
-  bool pending() const { return pending_.has_value(); }
+  /// The request under way; nothing if there is none.
+  std::optional<std::uint64_t> pending() const { return pending_ ? std::optional(pending_->id) : std::nullopt; }
+  const RefinementPolicyOptions& options() const { return options_; }
   const std::string& lastRefusal() const { return last_refusal_; }
-  /// Whether that was of a pose that the registration believes and that is too far from the tracked one.
-  bool lastRefusalContradicts() const { return last_refusal_contradicts_; }
   std::size_t requests() const { return requests_; }
   std::size_t accepted() const { return accepted_; }
-  std::size_t refused() const { return refused_; }    ///< answers without success, or that did not pass the checks
+  std::size_t refused() const { return refused_; }    ///< answers that were not accepted
   std::size_t timeouts() const { return timeouts_; }  ///< requests given up
-  std::size_t unheard() const { return unheard_; }    ///< requests that could not be sent
-  std::size_t skipped() const { return skipped_; }    ///< EVERY_FRAME: exposures that gave way to later ones
 
 private:
   struct Pending
   {
     std::uint64_t id;
     std::int64_t asked;  ///< monotonic clock [ns]
-    TrackedExposure exposure;
+    RefinementSeed exposure;
   };
-  bool due(const TrackedExposure& exposure, std::int64_t now) const;
+  /// Believed registrations that agree with each other, one exposure after another.
+  struct Chain
+  {
+    std::int64_t stamp;  ///< of the last one [ns]
+    RigidTransform refined;
+    PoseCovariance covariance;
+    int length;
+    int dense;    ///< the last ones of them between which the target cannot have gone far
+    int against;  ///< the last ones of them that contradict the tracks
+  };
   /// What is wrong with an answer by itself; empty if nothing is.
   std::string fault(const RefinementReply& reply) const;
-  /// How it contradicts the tracked pose; empty if it does not.
-  std::string contradiction(const RefinementReply& reply, const TrackedExposure& exposure) const;
+  /// How it is out of the bounds of a correction; empty if it is not. @param factor on the bounds
+  std::string excess(const RefinementReply& reply, const RefinementSeed& exposure, double factor) const;
+  /// How it contradicts the tracked pose within the bounds; empty if it does not.
+  std::string contradiction(const RefinementReply& reply, const RefinementSeed& exposure) const;
+  void extendChain(const RefinementReply& reply, std::int64_t stamp);
 
   RefinementPolicyOptions options_;
   Eigen::Vector3d target_centre_;
-  Request request_;
   std::optional<Pending> pending_;
-  boost::circular_buffer<TrackedExposure> waiting_;
+  std::optional<Chain> chain_;
   std::optional<RigidTransform> anchor_;  ///< tracked pose at the start or just refined: what drift is counted from
   std::uint64_t next_id_ = 1;
   int exposures_since_request_ = 0;
   bool demanded_ = false;
   std::int64_t not_before_ = 0;  ///< monotonic clock, ON_DRIFT [ns]
   std::string last_refusal_;
-  bool last_refusal_contradicts_ = false;
   std::size_t requests_ = 0;
   std::size_t accepted_ = 0;
   std::size_t refused_ = 0;
   std::size_t timeouts_ = 0;
-  std::size_t unheard_ = 0;
-  std::size_t skipped_ = 0;
 };
 }  // namespace xray_tracking

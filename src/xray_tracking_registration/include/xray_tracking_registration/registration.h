@@ -171,6 +171,10 @@ struct RegistrationResult
   /// Other places that were looked at, most similar first; never all that there are.
   std::vector<Rival> rivals;
   std::chrono::duration<double> duration{ 0.0 };
+
+  /// `covariance` as that of (translation of the patient frame's origin [mm], rotation vector about the fixed room axes
+  /// [rad]); zero where it is not known. @param target_centre patient frame [mm]
+  Eigen::Matrix<double, 6, 6> poseCovariance(const Eigen::Vector3d& target_centre) const;
 };
 
 /// Registers a CT to X-ray images: finds the pose of the target, and of the rest of the body as a nuisance, at which

@@ -12,7 +12,6 @@
 #include <ros/ros.h>
 #include <sensor_msgs/CameraInfo.h>
 #include <xray_tracking_msgs/PatientMotion.h>
-#include <xray_tracking_msgs/RefinedPose.h>
 #include <xray_tracking_msgs/TrackedRegion.h>
 
 #include "xray_tracking_tools/graph_connections.h"
@@ -23,8 +22,7 @@ namespace xray_tracking
 ///
 /// Parameters: ~exposures, ~method, ~detectors, ~required_subscribers, ~required_detector_subscribers, ~start_mode,
 /// ~start_service, ~stall_timeout.
-/// Subscribes: patient_motion, <detector>/camera_info, <detector>/tracked_region, and refined_pose if the method
-/// registers.
+/// Subscribes: patient_motion, <detector>/camera_info, <detector>/tracked_region.
 /// Calls: ~start_service (std_srvs/Trigger of a simulator, or std_srvs/SetBool of rosbag play's pause_playback).
 /// All its timers are wall timers: it has to see a clock that stands still.
 class RunSupervisorRos
@@ -49,9 +47,6 @@ private:
   std::string callStartService() const;
   void setWaitingFor(const std::string& text);
   void motionCallback(const xray_tracking_msgs::PatientMotion& message);
-  void refinedPoseCallback(const xray_tracking_msgs::RefinedPose& message);
-  /// Exposures of which every answer that is waited for has come.
-  std::size_t answered() const;
   void tick();
   void printProgress(const xray_tracking_msgs::PatientMotion& message);
   void printStall();
@@ -66,9 +61,6 @@ private:
 
   std::map<std::string, DetectorCounts> detectors_;
   std::set<ros::Time> motions_;
-  bool registers_ = false;  ///< whether refined poses are waited for, of exposures for which motion estimation was ready
-  std::set<ros::Time> refined_;
-  std::size_t not_ready_ = 0;  ///< exposures for which it was not
   ros::WallTime last_event_;   ///< start, or the last new answer
   ros::WallTime last_print_;
   int exit_status_ = 1;

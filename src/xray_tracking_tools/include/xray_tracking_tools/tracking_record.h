@@ -24,8 +24,6 @@ struct TrackingRecord
   std::map<std::int64_t, RigidTransform> ground_truth;                    ///< `patient_ground_truth`
   std::set<std::int64_t> verified;                                        ///< exposures with `verified` on `beam_gate`
   std::set<std::int64_t> gate_open;                                       ///< exposures with `open` on it
-  /// What the refined poses are judged as, which the bag does not say: registration or tracking_and_registration.
-  std::string refined_method = "registration";
   std::string unverified;  ///< why nothing is verified, as it said last; empty if there is no `beam_gate`
 };
 
@@ -33,11 +31,11 @@ struct TrackingRecord
 /// `patient_ground_truth` and the detectors' `camera_info`.
 /// @param epoch_ns subtracted from every stamp: kPlaybackEpochNs for a played sequence, 0 for a live run
 /// @throws std::runtime_error naming bag, topic and stamp: no bag, not closed, a pose that is none, a stamp answered
-/// twice, a state that the message does not define
+/// twice, a state that the message does not define, motions of two methods
 TrackingRecord readTrackingRecord(const std::string& bag_path, std::int64_t epoch_ns);
 
-/// Both judge `tracking`, and the method of the refined poses if there are any; the times of tracking_and_registration
-/// are those of both.
+/// Both judge the poses that were published, by the run's method, with the times of all that led to them; and, of
+/// tracking_and_registration, as `registration`, what the registration said by itself.
 ///
 /// Judges a live run: exposures and gold standard are those of the record.
 /// @throws std::runtime_error if there is no exposure, or a gold standard that lacks some of them

@@ -1,4 +1,4 @@
-#include "xray_tracking_motion_estimation/beam_gate_ros.h"
+#include "xray_tracking_motion_estimation/beam_gate_publisher.h"
 
 #include <algorithm>
 
@@ -24,7 +24,8 @@ static_assert(static_cast<int>(GateReason::JUMP) == Message::JUMP);
 static_assert(static_cast<int>(GateReason::CONFIRMING) == Message::CONFIRMING);
 static_assert(static_cast<int>(GateReason::UNVERIFIED) == Message::UNVERIFIED);
 
-constexpr double kWatchdogPeriod = 0.02;  // s
+/// Two messages may be late before the last one is void [s].
+constexpr double kValid = 3.0 * BeamGatePublisher::kPeriod;
 
 /// Of what stamps of others may lead to: what ros::Duration does not hold would throw.
 ros::Duration durationFromNanoseconds(std::int64_t nanoseconds)
@@ -34,56 +35,41 @@ ros::Duration durationFromNanoseconds(std::int64_t nanoseconds)
 }
 }  // namespace
 
-std::int64_t steadyNanoseconds()
+BeamGatePublisher::BeamGatePublisher(ros::NodeHandle nh) : publisher_(nh.advertise<Message>("beam_gate", 1))
 {
-  return static_cast<std::int64_t>(ros::SteadyTime::now().toNSec());
 }
 
-BeamGateRos::BeamGateRos(ros::NodeHandle nh, const BeamGateOptions& options) : gate_(options)
+void BeamGatePublisher::publish(const BeamGate& gate, const ros::Time& exposure, std::int64_t now)
 {
-  publisher_ = nh.advertise<Message>("beam_gate", 100);
-  watchdog_ = nh.createSteadyTimer(ros::WallDuration(kWatchdogPeriod), &BeamGateRos::watchdogCb, this);
-}
-
-void BeamGateRos::update(const GateExposure& exposure)
-{
-  if (exposure.fault != GateReason::BAD_STAMP)
+  if (gate.reason() != logged_)
   {
-    exposure_ = timeFromNanoseconds(exposure.stamp);
-  }
-  logAndPublish(gate_.update(exposure));
-}
-
-void BeamGateRos::watchdogCb(const ros::SteadyTimerEvent&)
-{
-  logAndPublish(gate_.tick(steadyNanoseconds()));
-}
-
-void BeamGateRos::logAndPublish(bool changed)
-{
-  if (changed && gate_.open())
-  {
-    ROS_INFO_STREAM("beam gate: open, " << gate_.text());
-  }
-  else if (changed)
-  {
-    ROS_WARN_STREAM("beam gate: " << gateReasonName(gate_.reason()) << ", " << gate_.text());
+    logged_ = gate.reason();
+    if (gate.open())
+    {
+      ROS_INFO_STREAM("beam gate: open, " << gate.text());
+    }
+    else
+    {
+      ROS_WARN_STREAM("beam gate: " << gateReasonName(gate.reason()) << ", " << gate.text());
+    }
   }
   Message message;
   message.header.stamp = ros::Time::now();
   message.header.frame_id = kRoomFrame;
-  message.open = gate_.open();
-  message.verified = gate_.verification().verified();
-  message.reason = static_cast<std::uint8_t>(gate_.reason());
-  message.text = gate_.text();
-  if (const auto age = gate_.age(steadyNanoseconds()))
+  message.valid_until = timeFromNanoseconds(nanosecondsFromTime(message.header.stamp) +
+                                            static_cast<std::int64_t>(1e9 * kValid));
+  message.open = static_cast<std::uint8_t>(gate.open());
+  message.verified = static_cast<std::uint8_t>(gate.verification().verified());
+  message.reason = static_cast<std::uint8_t>(gate.reason());
+  message.text = gate.text();
+  if (const auto age = gate.age(now))
   {
-    message.exposure = exposure_;
+    message.exposure = exposure;
     message.age = durationFromNanoseconds(*age);
   }
-  message.max_age = durationFromNanoseconds(gate_.maxAge());
-  message.displacement = vectorMsgFromMillimetres(gate_.displacement());
-  message.rotation = gate_.rotation();
+  message.max_age = durationFromNanoseconds(gate.maxAge());
+  message.displacement = vectorMsgFromMillimetres(gate.displacement());
+  message.rotation = gate.rotation();
   publisher_.publish(message);
 }
 }  // namespace xray_tracking

@@ -1,0 +1,64 @@
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <vector>
+
+#include "xray_tracking_core/geometry/rigid_transform.h"
+#include "xray_tracking_motion_estimation/motion_estimator.h"
+#include "xray_tracking_motion_estimation/pose_history.h"
+#include "xray_tracking_motion_estimation/refinement_policy.h"
+#include "xray_tracking_motion_estimation/tracked_view.h"
+
+namespace xray_tracking
+{
+/// What the views' tracks are relative to: the pose of the exposure that a template was trained on, or of an exposure
+/// that was registered while the template was tracked (its anchor).
+class ViewReferences
+{
+public:
+  explicit ViewReferences(std::size_t views);
+
+  /// Whether no pose is known so far.
+  bool empty() const { return history_.empty(); }
+  void clear();
+
+  /// The pose of an exposure, which templates may have been trained on.
+  /// @param registered it will not be moved by what is found later
+  void add(const TrackedExposure& exposure, const RigidTransform& room_from_patient, bool registered);
+  /// The same for one stamp [ns]; not registered.
+  void add(std::int64_t stamp, const RigidTransform& room_from_patient);
+
+  /// Finds what the view's template is relative to. @return false if the pose of its exposure is not known
+  bool find(std::size_t view, const TrackedView& tracked);
+
+  /// After find(). @param track of the view, with all that it is uncertain by
+  ViewMeasurement measurement(std::size_t view, const Track& track) const;
+
+  /// From here on the view's track counts from this exposure, at this pose: what it was wrong by until then is out of
+  /// it. Nothing happens if the view has got a newer template meanwhile.
+  void anchor(std::size_t view, const TrackedView& tracked, const Track& track, const RigidTransform& room_from_patient);
+
+  /// Moves all poses that were tracked, not registered, as a refinement does.
+  void carry(const Refinement& refinement, const Eigen::Vector3d& target_centre);
+
+  /// Where the template's region would be seen with the patient elsewhere: moved as the target's centre is.
+  /// @return nothing if the view has had no template whose pose is known
+  std::optional<cv::Rect> regionAt(std::size_t view, const ProjectionGeometry& geometry,
+                                   const RigidTransform& room_from_patient, const Eigen::Vector3d& target_centre) const;
+
+private:
+  struct Reference
+  {
+    std::int64_t template_stamp;
+    cv::Rect region;                   ///< the template's
+    RigidTransform learnt_at;          ///< the pose at which it was learnt
+    RigidTransform room_from_patient;  ///< what tracks count from: `learnt_at`, or the anchor's
+    std::optional<Track> anchor;       ///< how the template was tracked there
+    bool registered;                   ///< both poses are known from registrations
+  };
+
+  PoseHistory history_;
+  std::vector<std::optional<Reference>> references_;
+};
+}  // namespace xray_tracking

@@ -1,0 +1,537 @@
+#include "xray_tracking_motion_estimation/motion_estimation_ros.h"
+
+#include <algorithm>
+#include <chrono>
+#include <sstream>
+#include <stdexcept>
+#include <utility>
+
+#include <geometry_msgs/PoseWithCovarianceStamped.h>
+#include <geometry_msgs/TransformStamped.h>
+#include <xray_tracking_msgs/PatientMotion.h>
+
+#include "tracked_view_message.h"
+#include "xray_tracking_conversions/conversions.h"
+#include "xray_tracking_core/stopwatch.h"
+#include "xray_tracking_motion_estimation/bone_shape.h"
+
+namespace xray_tracking
+{
+namespace
+{
+using xray_tracking_msgs::PatientMotion;
+using xray_tracking_msgs::RefinementResult;
+using RefinePose = xray_tracking_msgs::RefinePose;
+
+static_assert(static_cast<int>(MotionState::OK) == PatientMotion::OK);
+static_assert(static_cast<int>(MotionState::WAITING) == PatientMotion::WAITING);
+static_assert(static_cast<int>(MotionState::LOST) == PatientMotion::LOST);
+static_assert(static_cast<int>(MotionState::INCONSISTENT) == PatientMotion::INCONSISTENT);
+static_assert(static_cast<int>(MotionState::NO_REFERENCE) == PatientMotion::NO_REFERENCE);
+static_assert(static_cast<int>(MotionState::BAD_STAMP) == PatientMotion::BAD_STAMP);
+static_assert(static_cast<int>(MotionState::UNREGISTERED) == PatientMotion::UNREGISTERED);
+static_assert(static_cast<int>(PoseSource::NONE) == PatientMotion::NONE);
+static_assert(static_cast<int>(PoseSource::TRACKED) == PatientMotion::TRACKED);
+static_assert(static_cast<int>(PoseSource::REGISTERED) == PatientMotion::REGISTERED);
+
+/// A stamp may be ahead by what two computers' clocks usually differ [ns].
+constexpr std::int64_t kMaxAhead = 5000000;
+
+/// Messages of a played bag are ahead of the last tick of its clock by up to a tick: 10 ms, times the playback's speed,
+/// which may be a hundred [ns].
+constexpr std::int64_t kClockTick = 1000000000;
+
+std::int64_t nanosecondsFromSeconds(double seconds)
+{
+  return static_cast<std::int64_t>(1e9 * seconds);
+}
+
+std::int64_t steadyNanoseconds()
+{
+  return static_cast<std::int64_t>(ros::SteadyTime::now().toNSec());
+}
+
+/// Of numbers that others have sent too: what ros::Duration does not hold would throw.
+ros::Duration durationFromSeconds(double seconds)
+{
+  return ros::Duration(std::clamp(seconds, 0.0, 1e9));
+}
+
+RefinementReply replyFrom(std::uint64_t id, const std::optional<RefinePose::Response>& response, const std::string& why)
+{
+  RefinementReply reply;
+  reply.id = id;
+  reply.text = why;
+  if (!response)
+  {
+    return reply;
+  }
+  const RefinementResult& result = response->result;
+  if (result.status != RefinementResult::SUCCESS)
+  {
+    reply.text = "the registration's status is " + std::to_string(static_cast<int>(result.status)) + ": " +
+                 result.reason;
+    return reply;
+  }
+  try
+  {
+    reply.room_from_patient = rigidFromPoseMsg(result.pose.pose);
+    reply.covariance = covarianceFromPoseMsg(result.pose);
+    reply.seed_similarity = result.similarity_before;
+    reply.similarity = result.similarity_after;
+    reply.success = true;
+  }
+  catch (const std::exception& error)  // of a pose that is none
+  {
+    reply.text = error.what();
+  }
+  return reply;
+}
+}  // namespace
+
+MotionEstimationRos::MotionEstimationRos(const ros::NodeHandle& nh, const ros::NodeHandle& pnh)
+  : nh_(nh),
+    pnh_(pnh),
+    idle_gate_(BeamGateOptions()),
+    started_(ros::Time::now()),
+    tf_listener_(tf_buffer_, nh_),
+    gate_publisher_(nh_),
+    updater_(nh_, pnh_, pnh_.getNamespace())
+{
+  updater_.setHardwareID("none");
+  updater_.add("motion", this, &MotionEstimationRos::diagnose);
+  try
+  {
+    start();
+  }
+  catch (const std::exception& error)
+  {
+    views_.clear();
+    configuration_fault_ = error.what();
+    idle_gate_.reset(configuration_fault_);
+    ROS_FATAL_STREAM(pnh_.getNamespace() << " is idle: " << configuration_fault_);
+  }
+  watchdog_ = nh_.createSteadyTimer(ros::WallDuration(BeamGatePublisher::kPeriod), &MotionEstimationRos::watchdogCb,
+                                    this);
+  report_timer_ = nh_.createSteadyTimer(ros::WallDuration(1.0), &MotionEstimationRos::reportCb, this);
+}
+
+MotionEstimationRos::~MotionEstimationRos()
+{
+  // A nodelet's callbacks may be running in another thread: this waits for them, before any member goes.
+  report_timer_.stop();
+  watchdog_.stop();
+  deadline_timer_.stop();
+  refine_server_.shutdown();
+  restart_server_.shutdown();
+  for (View& view : views_)
+  {
+    view.camera_info_subscriber.shutdown();
+    view.tracked_region_subscriber.shutdown();
+    view.trainer.reset();
+  }
+  registration_.reset();
+}
+
+void MotionEstimationRos::start()
+{
+  parameters_ = readMotionEstimationParameters(pnh_);
+  const PoseVerificationOptions& verification = parameters_.monitor.gate.verification;
+  ROS_WARN_STREAM_COND(verification.registration && verification.initial_pose_verified,
+                       "gate/initial_pose_verified counts for nothing while refinement/mode is not never: the "
+                       "registration has to confirm the initial pose");
+  setup_ = loadTreatmentSetup(parameters_.setup_file);
+  shape_ = std::async(parameters_.bone_shape ? std::launch::async : std::launch::deferred,
+                      [setup = setup_, bone = parameters_.bone_shape]
+                      { return bone ? boneShape(setup) : TargetShape::isotropic(setup.targetCentre()); });
+  monitor_.emplace(parameters_.monitor, setup_.room_from_patient, setup_.targetCentre());
+  motion_publisher_ = nh_.advertise<PatientMotion>("patient_motion", 100);
+  pose_publisher_ = nh_.advertise<geometry_msgs::PoseWithCovarianceStamped>("patient_pose", 100);
+  prediction_publisher_ = nh_.advertise<geometry_msgs::PoseWithCovarianceStamped>("predicted_pose", 100);
+  restart_server_ = pnh_.advertiseService("restart", &MotionEstimationRos::restartCb, this);
+  deadline_timer_ = nh_.createSteadyTimer(ros::WallDuration(1.0), &MotionEstimationRos::deadlineCb, this, true, false);
+  if (parameters_.monitor.refinement.mode != RefinementMode::NEVER)
+  {
+    refine_server_ = pnh_.advertiseService("refine", &MotionEstimationRos::refineCb, this);
+    registration_ = std::make_unique<ServiceCaller<RefinePose>>(
+        nh_, "refine_pose",
+        [this](const std::optional<RefinePose::Response>& response, const std::string& why)
+        {
+          monitor_->onReply(replyFrom(asked_, response, why), steadyNanoseconds());
+          settle();
+        });
+  }
+  const std::vector<std::string>& detectors = parameters_.monitor.tracks.views;
+  assembler_.emplace(detectors.size(), parameters_.queue_size,
+                     nanosecondsFromSeconds(parameters_.monitor.tracks.pairing_tolerance),
+                     ros::Time::isSimTime() ? kClockTick : kMaxAhead);
+  views_.resize(detectors.size());
+  for (std::size_t i = 0; i < detectors.size(); ++i)
+  {
+    views_[i].name = detectors[i];
+    subscribe(views_[i], i);
+  }
+}
+
+void MotionEstimationRos::subscribe(View& view, std::size_t index)
+{
+  const ros::TransportHints no_delay = ros::TransportHints().tcpNoDelay();
+  const boost::function<void(const sensor_msgs::CameraInfo::ConstPtr&)> camera_info_cb =
+      [&view](const sensor_msgs::CameraInfo::ConstPtr& info) { view.camera_info.update(view.name, *info); };
+  view.camera_info_subscriber =
+      nh_.subscribe<sensor_msgs::CameraInfo>(view.name + "/camera_info", 10, camera_info_cb, nullptr, no_delay);
+  const boost::function<void(const TrackedRegion::ConstPtr&)> tracked_region_cb =
+      [this, index](const TrackedRegion::ConstPtr& message) { trackedRegionCb(message, index); };
+  view.tracked_region_subscriber = nh_.subscribe<TrackedRegion>(view.name + "/tracked_region", parameters_.queue_size,
+                                                                tracked_region_cb, nullptr, no_delay);
+  if (parameters_.monitor.method != PoseMethod::TRACKING)
+  {
+    view.trainer = std::make_unique<ServiceCaller<TrainRegion>>(
+        nh_, view.name + "/train_region",
+        [&view](const std::optional<TrainRegion::Response>& response, const std::string& why)
+        {
+          const bool learnt = response && response->status == TrainRegion::Response::OK;
+          ROS_INFO_STREAM_COND(learnt, view.name << " has learnt its region anew where the registration sees the target");
+          ROS_WARN_STREAM_COND(!learnt, view.name << " has not learnt its region anew: "
+                                                  << (response ? response->message : why));
+        });
+  }
+}
+
+void MotionEstimationRos::trackedRegionCb(const TrackedRegion::ConstPtr& message, std::size_t view)
+{
+  const Stopwatch stopwatch;
+  views_[view].last_arrival = ros::SteadyTime::now();
+  if (first_arrival_.isZero())
+  {
+    first_arrival_ = views_[view].last_arrival;
+  }
+  setSilent(view, false);
+  first_heard_ = first_heard_.isZero() ? message->header.stamp : std::min(first_heard_, message->header.stamp);
+  if (started_.isZero())
+  {
+    started_ = ros::Time::now();
+  }
+  using Outcome = ExposureAssembler<TrackedRegion::ConstPtr>::Outcome;
+  const ros::Time now = ros::Time::now();
+  const Outcome outcome =
+      assembler_->add(view, nanosecondsFromTime(message->header.stamp), message, nanosecondsFromTime(now));
+  if (outcome != Outcome::COMPLETE && outcome != Outcome::FUTURE)
+  {
+    return;
+  }
+  if (assembler_->restarted())
+  {
+    started_ = first_heard_ = timeFromNanoseconds(assembler_->stamp());
+    ROS_WARN_STREAM("exposures start again at " << started_ << ": forgetting the earlier ones");
+    // A bag that is played again begins with the patient where it began. A clock that was set, or old exposures that
+    // are sent once more, find the patient anywhere, and the trackers learn their templates there.
+    monitor_->restart(ros::Time::isSimTime()
+                          ? ""
+                          : "time went back: nothing has confirmed that the patient was at the initial pose again");
+    // This node's own transforms of the earlier run; static ones stay.
+    tf_buffer_.clear();
+  }
+
+  TrackedExposure exposure;
+  exposure.stamp = assembler_->stamp();
+  exposure.arrival = steadyNanoseconds();
+  exposure.age = nanosecondsFromTime(now) - exposure.stamp;
+  if (outcome == Outcome::FUTURE)
+  {
+    std::ostringstream text;
+    text << "the exposure is stamped " << -1e-9 * static_cast<double>(exposure.age)
+         << " s in the future: clocks differ";
+    exposure.fault = MotionState::BAD_STAMP;
+    exposure.text = text.str();
+  }
+  if (ros::Time::isSimTime())
+  {
+    exposure.age = std::max<std::int64_t>(exposure.age, 0);
+  }
+  for (std::size_t i = 0; i < views_.size(); ++i)
+  {
+    const TrackedRegion::ConstPtr& region = assembler_->exposure()[i];
+    exposure.views.push_back(region ? std::make_optional(trackedViewFromMsg(*region, assembler_->offset(i)))
+                                    : std::nullopt);
+    exposure.cpu_seconds += region ? region->cpu_time.toSec() : 0.0;
+    exposure.wall_seconds = std::max(exposure.wall_seconds, region ? region->wall_time.toSec() : 0.0);
+  }
+  // In the order of their weight: views that have no template yet are no fault of the geometry.
+  if (exposure.fault == MotionState::OK)
+  {
+    exposure.text = checkGeometry();
+    exposure.fault = exposure.text.empty() ? MotionState::OK : MotionState::WAITING;
+  }
+  exposure.cpu_seconds += stopwatch.cpuSeconds();
+  monitor_->tracks().heardFrom(nanosecondsFromTime(started_), nanosecondsFromTime(first_heard_));
+  monitor_->onExposure(std::move(exposure), steadyNanoseconds());
+  settle();
+}
+
+std::string MotionEstimationRos::checkGeometry()
+{
+  try
+  {
+    for (View& view : views_)
+    {
+      const CameraInfoWatch& camera_info = view.camera_info;
+      if (!camera_info.fault().empty())
+      {
+        return view.name + ": " + camera_info.fault();
+      }
+      if (!camera_info.valid())
+      {
+        return "no " + nh_.resolveName(view.name + "/camera_info") + " so far";
+      }
+      const auto message = tf_buffer_.lookupTransform(kRoomFrame, camera_info.frame(), ros::Time(0));
+      const RigidTransform room_from_optical = rigidFromTransformMsg(message.transform);
+      if (!has_geometry_)
+      {
+        view.room_from_optical = room_from_optical;
+      }
+      // Rounding of what combines transforms is let through; in mm and of the rotation times the distances, it is less
+      // than a micrometre.
+      else if (!room_from_optical.isApprox(view.room_from_optical, 1e-10))
+      {
+        return view.name + ": frame " + camera_info.frame() + " has moved in " + kRoomFrame +
+               ", expected it to stay where it was at first";
+      }
+    }
+    if (!has_geometry_)
+    {
+      if (shape_.wait_for(std::chrono::seconds(0)) == std::future_status::timeout)
+      {
+        return "the target's shape is being taken from " + setup_.ct_path;
+      }
+      std::vector<ProjectionGeometry> geometries;
+      for (const View& view : views_)
+      {
+        geometries.push_back(view.camera_info.geometry(view.name, view.room_from_optical));
+      }
+      monitor_->tracks().setGeometry(geometries, shape_.get());
+      has_geometry_ = true;
+    }
+  }
+  catch (const std::exception& error)  // tf2's, of a geometry that is none, or of a CT
+  {
+    return error.what();
+  }
+  return std::string();
+}
+
+void MotionEstimationRos::setSilent(std::size_t view, bool silent)
+{
+  views_[view].silent = silent;
+  const auto heard = std::count_if(views_.begin(), views_.end(), [](const View& v) { return !v.silent; });
+  for (std::size_t i = 0; i < views_.size(); ++i)
+  {
+    assembler_->expect(i, heard < 2 || !views_[i].silent);
+  }
+}
+
+void MotionEstimationRos::settle()
+{
+  while (const std::optional<MotionDecision> decision = monitor_->takeDecision())
+  {
+    publish(*decision);
+  }
+  if (registration_ && !monitor_->refinement().pending())
+  {
+    registration_->cancel();  // what was given up
+  }
+  if (const std::optional<RefinementRequest> request = monitor_->takeRequest())
+  {
+    ask(*request);
+  }
+  while (const std::optional<RegionProposal> proposal = monitor_->takeProposal())
+  {
+    train(*proposal);
+  }
+  publishGate();
+  if (const std::optional<std::int64_t> wake = monitor_->wakeAt())
+  {
+    deadline_timer_.stop();
+    deadline_timer_.setPeriod(ros::WallDuration(1e-9 * static_cast<double>(std::max<std::int64_t>(
+                                  *wake - steadyNanoseconds(), 100000))));
+    deadline_timer_.start();
+  }
+}
+
+void MotionEstimationRos::publish(const MotionDecision& decision)
+{
+  PatientMotion motion;
+  motion.header.stamp = timeFromNanoseconds(decision.stamp);
+  motion.header.frame_id = kRoomFrame;
+  motion.state = static_cast<std::uint8_t>(decision.state);
+  motion.reason = decision.reason;
+  motion.method = poseMethodName(parameters_.monitor.method);
+  motion.source = static_cast<std::uint8_t>(decision.source);
+  motion.not_registered = decision.not_registered;
+  motion.translation = vectorMsgFromMillimetres(decision.displacement);
+  motion.covariance = covarianceMsgFromMillimetres(decision.displacement_covariance);
+  motion.views_differ = static_cast<std::uint8_t>(decision.views_differ);
+  motion.disagreement = decision.disagreement;
+  motion.chi_square = decision.chi_square;
+  motion.degrees_of_freedom = static_cast<std::uint32_t>(decision.degrees_of_freedom);
+  motion.views = static_cast<std::uint32_t>(decision.views);
+  motion.cpu_time = durationFromSeconds(decision.cpu_seconds);
+  motion.wall_time = durationFromSeconds(decision.wall_seconds);
+  if (decision.state == MotionState::OK)
+  {
+    geometry_msgs::TransformStamped transform;
+    transform.header = motion.header;
+    transform.child_frame_id = kPatientFrame;
+    transform.transform = transformMsgFromRigid(decision.room_from_patient);
+    tf_broadcaster_.sendTransform(transform);
+    geometry_msgs::PoseWithCovarianceStamped pose;
+    pose.header = motion.header;
+    pose.pose = poseWithCovarianceMsg(decision.room_from_patient, decision.pose_covariance);
+    pose_publisher_.publish(pose);
+    publishPrediction();
+  }
+  if (decision.state != MotionState::BAD_STAMP)
+  {
+    latest_ = motion.header.stamp;
+  }
+  motion_publisher_.publish(motion);
+  report_.add(decision);
+}
+
+void MotionEstimationRos::publishPrediction()
+{
+  const std::int64_t now = nanosecondsFromTime(ros::Time::now());
+  const std::optional<PosePrediction> prediction =
+      monitor_->predict(now + nanosecondsFromSeconds(parameters_.monitor.prediction.latency));
+  if (prediction)
+  {
+    geometry_msgs::PoseWithCovarianceStamped pose;
+    pose.header.stamp = timeFromNanoseconds(prediction->stamp);
+    pose.header.frame_id = kRoomFrame;
+    pose.pose = poseWithCovarianceMsg(prediction->room_from_patient, prediction->covariance);
+    prediction_publisher_.publish(pose);
+  }
+}
+
+void MotionEstimationRos::publishGate()
+{
+  gate_publisher_.publish(configuration_fault_.empty() ? monitor_->gate() : idle_gate_, latest_, steadyNanoseconds());
+}
+
+void MotionEstimationRos::ask(const RefinementRequest& request)
+{
+  RefinePose::Request message;
+  message.request.seed = poseMsgFromRigid(request.room_from_patient);
+  message.request.stamp = timeFromNanoseconds(request.stamp);
+  message.request.time_budget = parameters_.monitor.refinement.timeout;
+  message.request.unverified = static_cast<std::uint8_t>(request.unverified);
+  if (registration_->call(message))
+  {
+    asked_ = request.id;
+  }
+  else
+  {
+    monitor_->onReply(replyFrom(request.id, std::nullopt, "an earlier request is still being broken off"),
+                      steadyNanoseconds());
+    settle();
+  }
+}
+
+void MotionEstimationRos::train(const RegionProposal& proposal)
+{
+  View& view = views_[proposal.view];
+  TrainRegion::Request request;
+  const Eigen::Vector2i& size = monitor_->tracks().geometries()[proposal.view].imageSize();
+  const cv::Rect inside = proposal.region & cv::Rect(0, 0, size.x(), size.y());
+  ROS_WARN_STREAM(view.name << " does not follow the target, and is to learn its region anew where the registration "
+                               "sees it");
+  if (inside.area() * 2 > proposal.region.area())
+  {
+    request.region = regionMsgFromRect(inside);
+    view.trainer->call(request);
+  }
+}
+
+bool MotionEstimationRos::refineCb(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response)
+{
+  response.success = static_cast<std::uint8_t>(monitor_->demandRefinement());
+  response.message = "the next exposure will be refined";
+  return true;
+}
+
+bool MotionEstimationRos::restartCb(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response)
+{
+  ROS_WARN("starts over: somebody states that the patient is at the initial pose");
+  started_ = ros::Time::now();
+  first_heard_ = ros::Time();
+  monitor_->restart("");
+  settle();
+  response.success = 1;
+  response.message = "the next exposures count from the setup's initial pose";
+  return true;
+}
+
+void MotionEstimationRos::watchdogCb(const ros::SteadyTimerEvent&)
+{
+  if (configuration_fault_.empty())
+  {
+    monitor_->onTime(steadyNanoseconds());
+    settle();
+  }
+  else
+  {
+    publishGate();
+  }
+}
+
+void MotionEstimationRos::deadlineCb(const ros::SteadyTimerEvent&)
+{
+  monitor_->onTime(steadyNanoseconds());
+  settle();
+}
+
+void MotionEstimationRos::reportCb(const ros::SteadyTimerEvent&)
+{
+  const ros::SteadyTime now = ros::SteadyTime::now();
+  const auto quiet = [&](const View& view)
+  { return (now - std::max(view.last_arrival, first_arrival_)).toSec() > parameters_.view_timeout; };
+  const bool any_arrives = !first_arrival_.isZero() && !std::all_of(views_.begin(), views_.end(), quiet);
+  for (std::size_t i = 0; i < views_.size(); ++i)
+  {
+    setSilent(i, any_arrives && quiet(views_[i]));
+  }
+  if (configuration_fault_.empty())
+  {
+    report_.log(*monitor_, viewReports(), assemblyCounts());
+  }
+  updater_.force_update();
+}
+
+std::vector<ViewReport> MotionEstimationRos::viewReports() const
+{
+  std::vector<ViewReport> reports;
+  for (const View& view : views_)
+  {
+    reports.push_back({ view.name, view.tracked_region_subscriber.getTopic(), view.camera_info.fault(), view.silent });
+  }
+  return reports;
+}
+
+AssemblyCounts MotionEstimationRos::assemblyCounts() const
+{
+  return { assembler_->pending(), assembler_->incomplete(), assembler_->duplicates(), assembler_->late(),
+           assembler_->future() };
+}
+
+void MotionEstimationRos::diagnose(diagnostic_updater::DiagnosticStatusWrapper& status)
+{
+  if (configuration_fault_.empty())
+  {
+    report_.diagnose(status, *monitor_, viewReports(), assemblyCounts());
+  }
+  else
+  {
+    status.summary(diagnostic_msgs::DiagnosticStatus::ERROR, configuration_fault_);
+  }
+}
+}  // namespace xray_tracking

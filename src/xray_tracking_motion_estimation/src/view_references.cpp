@@ -1,0 +1,114 @@
+#include "xray_tracking_motion_estimation/view_references.h"
+
+namespace xray_tracking
+{
+namespace
+{
+/// Templates refer to exposures of the last seconds; the reference in use is kept apart.
+constexpr std::size_t kHistoryCapacity = 1000;
+}  // namespace
+
+ViewReferences::ViewReferences(std::size_t views) : history_(kHistoryCapacity), references_(views)
+{
+}
+
+void ViewReferences::clear()
+{
+  history_.clear();
+  references_.assign(references_.size(), std::nullopt);
+}
+
+void ViewReferences::add(const TrackedExposure& exposure, const RigidTransform& room_from_patient, bool registered)
+{
+  history_.add({ exposure.stamp, room_from_patient, registered });
+  for (const std::optional<TrackedView>& view : exposure.views)
+  {
+    // A template's reference is known by its own view's stamp.
+    if (view && view->offset != 0)
+    {
+      history_.add({ exposure.stamp + view->offset, room_from_patient, registered });
+    }
+  }
+}
+
+void ViewReferences::add(std::int64_t stamp, const RigidTransform& room_from_patient)
+{
+  history_.add({ stamp, room_from_patient, false });
+}
+
+bool ViewReferences::find(std::size_t view, const TrackedView& tracked)
+{
+  std::optional<Reference>& reference = references_[view];
+  if (reference && reference->template_stamp == tracked.reference_stamp)
+  {
+    return true;
+  }
+  const std::optional<PoseHistory::Entry> pose = history_.at(tracked.reference_stamp);
+  if (!pose)
+  {
+    return false;
+  }
+  reference = Reference{ tracked.reference_stamp, tracked.region,   pose->room_from_patient, pose->room_from_patient,
+                         std::nullopt,            pose->registered };
+  return true;
+}
+
+ViewMeasurement ViewReferences::measurement(std::size_t view, const Track& track) const
+{
+  const Reference& reference = *references_[view];
+  return { reference.room_from_patient, reference.anchor ? track.since(*reference.anchor) : track };
+}
+
+void ViewReferences::anchor(std::size_t view, const TrackedView& tracked, const Track& track,
+                            const RigidTransform& room_from_patient)
+{
+  std::optional<Reference>& reference = references_[view];
+  if ((reference && reference->template_stamp > tracked.reference_stamp) || !track.warp().allFinite() ||
+      !track.covariance.allFinite() || !(track.linear.determinant() > 0.0))
+  {
+    return;
+  }
+  if (!reference || reference->template_stamp != tracked.reference_stamp)
+  {
+    // Learnt at a pose that is not known: about where it is now, less what it was tracked by.
+    reference = Reference{ tracked.reference_stamp, tracked.region, room_from_patient, {}, {}, true };
+    reference->region +=
+        cv::Point(cvRound(track.displacement.x()), cvRound(track.displacement.y()));
+  }
+  reference->room_from_patient = room_from_patient;
+  reference->anchor = track;
+  reference->registered = true;
+}
+
+void ViewReferences::carry(const Refinement& refinement, const Eigen::Vector3d& target_centre)
+{
+  const auto correct = [&](const RigidTransform& pose) { return refinement.carry(pose, target_centre); };
+  history_.correctTracked(correct);
+  for (std::optional<Reference>& reference : references_)
+  {
+    if (reference && !reference->registered)
+    {
+      reference->learnt_at = correct(reference->learnt_at);
+      reference->room_from_patient = correct(reference->room_from_patient);
+    }
+  }
+}
+
+std::optional<cv::Rect> ViewReferences::regionAt(std::size_t view, const ProjectionGeometry& geometry,
+                                                 const RigidTransform& room_from_patient,
+                                                 const Eigen::Vector3d& target_centre) const
+{
+  const std::optional<Reference>& reference = references_[view];
+  if (!reference || reference->region.empty())
+  {
+    return std::nullopt;
+  }
+  const Eigen::Vector2d shift =
+      geometry.project(room_from_patient * target_centre) - geometry.project(reference->learnt_at * target_centre);
+  if (!(shift.cwiseAbs().maxCoeff() < 1e5))
+  {
+    return std::nullopt;
+  }
+  return reference->region + cv::Point(cvRound(shift.x()), cvRound(shift.y()));
+}
+}  // namespace xray_tracking

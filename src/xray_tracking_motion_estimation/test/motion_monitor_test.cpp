@@ -1,0 +1,450 @@
+#include "xray_tracking_motion_estimation/motion_monitor.h"
+
+#include <functional>
+#include <string>
+#include <vector>
+
+#include <gtest/gtest.h>
+
+#include "scene.h"
+
+namespace xray_tracking
+{
+namespace
+{
+constexpr std::int64_t kMillisecond = 1000000;
+constexpr std::int64_t kInterval = 200 * kMillisecond;
+constexpr double kExact = 1e-6;  ///< of what is computed without error, rounding aside [mm]
+
+/// Exposures 200 ms apart, tracked exactly, and a registration that answers when the test says so. Motions are
+/// translations from the initial pose, room axes [mm].
+class MonitorTest : public testing::Test
+{
+protected:
+  MonitorTest()
+  {
+    options.method = PoseMethod::TRACKING_AND_REGISTRATION;
+    options.tracks.views = { "detector_a", "detector_b" };
+    options.refinement.mode = RefinementMode::EVERY_FRAME;
+    options.gate.max_displacement = 100.0;
+  }
+
+  void start()
+  {
+    options.derive();
+    monitor.emplace(options, initialPose(), scene.targetCentre());
+    monitor->tracks().setGeometry(geometriesOf(scene.views), TargetShape::isotropic(scene.targetCentre()));
+    trained.assign(2, { stamp + kInterval, Eigen::Vector3d::Zero() });
+  }
+
+  /// Tracks of a view as they count from the exposure that its template was trained on.
+  TrackedView tracked(std::size_t view, const Eigen::Vector3d& motion) const
+  {
+    const RigidTransform then = moved(initialPose(), trained[view].second);
+    TrackedView result;
+    result.state = RegionState::TRACKING;
+    result.track = scene.exactTrack(view, TrackModel::TRANSLATION,
+                                    RigidTransform(Eigen::Translation3d(motion - trained[view].second)), then);
+    result.region = cv::Rect(static_cast<int>(result.track.centre.x()) - 50,
+                             static_cast<int>(result.track.centre.y()) - 50, 101, 101);
+    result.reference_stamp = trained[view].first;
+    return result;
+  }
+
+  using Alter = std::function<void(std::vector<std::optional<TrackedView>>&)>;
+
+  /// The next exposure, complete at once.
+  void expose(const Eigen::Vector3d& motion, const Alter& alter = {})
+  {
+    stamp += kInterval;
+    now += kInterval;
+    TrackedExposure exposure;
+    exposure.stamp = stamp;
+    exposure.arrival = now;
+    exposure.age = 10 * kMillisecond;
+    exposure.views = { tracked(0, motion), tracked(1, motion) };
+    if (alter)
+    {
+      alter(exposure.views);
+    }
+    monitor->onExposure(std::move(exposure), now);
+  }
+
+  RefinementRequest request()
+  {
+    const std::optional<RefinementRequest> request = monitor->takeRequest();
+    EXPECT_TRUE(request) << "nothing was asked";
+    return request.value_or(RefinementRequest{ 0, 0, RigidTransform::Identity(), false });
+  }
+
+  RefinementReply believed(std::uint64_t id, const Eigen::Vector3d& motion) const
+  {
+    RefinementReply reply;
+    reply.id = id;
+    reply.success = true;
+    reply.room_from_patient = moved(initialPose(), motion);
+    // Of the origin: the target's is as small, as nothing is known of the rotation's part.
+    reply.covariance = 1e-4 * PoseCovariance::Identity();
+    reply.covariance.bottomRightCorner<3, 3>() *= 1e-4;
+    reply.seed_similarity = 0.8;
+    reply.similarity = 0.9;
+    return reply;
+  }
+
+  static RefinementReply doubted(std::uint64_t id)
+  {
+    RefinementReply reply;
+    reply.id = id;
+    reply.text = "the probability is 0.4";
+    return reply;
+  }
+
+  MotionDecision decision()
+  {
+    const std::optional<MotionDecision> decision = monitor->takeDecision();
+    EXPECT_TRUE(decision) << "nothing was decided";
+    return decision.value_or(MotionDecision());
+  }
+
+  /// An exposure that is registered `off` from the truth, before its deadline.
+  MotionDecision registered(const Eigen::Vector3d& motion, const Eigen::Vector3d& off = Eigen::Vector3d::Zero(),
+                            const Alter& alter = {})
+  {
+    expose(motion, alter);
+    monitor->onReply(believed(request().id, motion + off), now + 20 * kMillisecond);
+    return decision();
+  }
+
+  void expectPose(const MotionDecision& decision, PoseSource source, const Eigen::Vector3d& motion, double tolerance)
+  {
+    EXPECT_EQ(decision.state, MotionState::OK) << decision.reason;
+    EXPECT_EQ(decision.source, source) << decision.not_registered;
+    EXPECT_EQ(decision.not_registered.empty(), source == PoseSource::REGISTERED) << decision.not_registered;
+    EXPECT_LT((decision.displacement - motion).norm(), tolerance);
+    const Eigen::Vector3d target = decision.room_from_patient * scene.targetCentre();
+    EXPECT_LT((target - scene.target - motion).norm(), tolerance);
+    EXPECT_FALSE(monitor->takeDecision());
+  }
+
+  void expectNone(const MotionDecision& decision, MotionState state, const std::string& words)
+  {
+    EXPECT_EQ(decision.state, state) << decision.reason;
+    EXPECT_EQ(decision.source, PoseSource::NONE);
+    EXPECT_NE(decision.reason.find(words), std::string::npos) << decision.reason;
+    EXPECT_FALSE(monitor->takeDecision());
+  }
+
+  static void loseAll(std::vector<std::optional<TrackedView>>& views)
+  {
+    for (std::optional<TrackedView>& view : views)
+    {
+      view->state = RegionState::LOST;
+    }
+  }
+
+  static void loseFirst(std::vector<std::optional<TrackedView>>& views) { views[0]->state = RegionState::LOST; }
+
+  const Scene scene{ cyberknife(), { 5.0, -8.0, 3.0 } };
+  MotionMonitorOptions options;
+  std::optional<MotionMonitor> monitor;
+  std::vector<std::pair<std::int64_t, Eigen::Vector3d>> trained;  ///< of each view's template: stamp, motion
+  std::int64_t stamp = 1700000000000000000;
+  std::int64_t now = 5000 * kMillisecond;
+};
+
+TEST_F(MonitorTest, PublishesTheRegisteredPoseOnceItIsThere)
+{
+  start();
+  for (int i = 0; i < 5; ++i)
+  {
+    const Eigen::Vector3d motion(0.4 * i, -0.2 * i, 0.1 * i);
+    const Eigen::Vector3d off(0.1, 0.2, -0.1);
+    expose(motion);
+    EXPECT_FALSE(monitor->takeDecision());
+    EXPECT_EQ(monitor->wakeAt(), now + 100 * kMillisecond);
+    const RefinementRequest asked = request();
+    EXPECT_EQ(asked.stamp, stamp);
+    // From where the tracks, counted from the last registered pose, put it.
+    const Eigen::Vector3d seed = i == 0 ? motion : Eigen::Vector3d(motion + off);
+    EXPECT_LT((asked.room_from_patient * scene.targetCentre() - scene.target - seed).norm(), 1e-3);
+    EXPECT_EQ(asked.unverified, i == 0);
+    monitor->onReply(believed(asked.id, motion + off), now + 20 * kMillisecond);
+    const MotionDecision decision = this->decision();
+    expectPose(decision, PoseSource::REGISTERED, motion + off, kExact);
+    EXPECT_NEAR(decision.wall_seconds, 0.02, 1e-9);
+    EXPECT_FALSE(monitor->wakeAt());
+    EXPECT_TRUE(monitor->gate().verification().verified());
+  }
+  EXPECT_TRUE(monitor->gate().open()) << monitor->gate().text();
+}
+
+TEST_F(MonitorTest, TheTrackedPoseComesAtTheDeadlineAndALateAnswerMovesWhatFollows)
+{
+  start();
+  registered({ 0.0, 0.0, 0.0 }, { 0.1, 0.0, 0.0 });
+  expose({ 1.0, 0.0, 0.0 });
+  const RefinementRequest late = request();
+  monitor->onTime(now + 99 * kMillisecond);
+  EXPECT_FALSE(monitor->takeDecision());
+  monitor->onTime(*monitor->wakeAt());
+  MotionDecision decision = this->decision();
+  expectPose(decision, PoseSource::TRACKED, { 1.1, 0.0, 0.0 }, 1e-3);
+  EXPECT_NE(decision.not_registered.find("no answer within 0.1 s"), std::string::npos) << decision.not_registered;
+  // The next one waits for the registration, which is still at that one.
+  expose({ 2.0, 0.0, 0.0 });
+  EXPECT_FALSE(monitor->takeRequest());
+  EXPECT_FALSE(monitor->takeDecision());
+  monitor->onReply(believed(late.id, { 1.0, 0.3, 0.0 }), now + 10 * kMillisecond);
+  const RefinementRequest asked = request();
+  EXPECT_EQ(asked.stamp, stamp);
+  EXPECT_LT((asked.room_from_patient * scene.targetCentre() - scene.target - Eigen::Vector3d(2.0, 0.3, 0.0)).norm(), 1e-3);
+  monitor->onReply(doubted(asked.id), now + 20 * kMillisecond);
+  decision = this->decision();
+  expectPose(decision, PoseSource::TRACKED, { 2.0, 0.3, 0.0 }, 1e-3);
+  EXPECT_EQ(decision.not_registered, "the probability is 0.4");
+}
+
+TEST_F(MonitorTest, ExposuresWaitBehindEachOtherAndComeInOrder)
+{
+  start();
+  std::vector<std::int64_t> stamps;
+  for (int i = 0; i < 3; ++i)
+  {
+    expose({ 0.0, 0.0, 0.0 });
+    now -= kInterval;  // all at once
+    stamps.push_back(stamp);
+  }
+  for (int i = 0; i < 3; ++i)
+  {
+    const RefinementRequest asked = request();
+    EXPECT_EQ(asked.stamp, stamps[static_cast<std::size_t>(i)]);
+    EXPECT_FALSE(monitor->takeRequest());
+    monitor->onReply(believed(asked.id, Eigen::Vector3d::Zero()), now + (i + 1) * 20 * kMillisecond);
+    EXPECT_EQ(decision().stamp, stamps[static_cast<std::size_t>(i)]);
+  }
+}
+
+TEST_F(MonitorTest, ARegistrationThatHangsHoldsUpNothing)
+{
+  options.refinement.timeout = 1.0;
+  start();
+  for (int i = 0; i < 20; ++i)
+  {
+    expose({ 0.1 * i, 0.0, 0.0 });
+    monitor->takeRequest();
+    monitor->onTime(now + 100 * kMillisecond);
+    expectPose(decision(), PoseSource::TRACKED, { 0.1 * i, 0.0, 0.0 }, 1e-3);
+  }
+  EXPECT_GE(monitor->refinement().timeouts(), 2u);
+  EXPECT_EQ(monitor->gate().reason(), GateReason::UNVERIFIED);
+}
+
+TEST_F(MonitorTest, OnlyRegisteredPosesWithTheMethodRegistration)
+{
+  options.method = PoseMethod::REGISTRATION;
+  start();
+  expectPose(registered({ 0.0, 0.0, 0.0 }, { 0.2, 0.0, 0.0 }), PoseSource::REGISTERED, { 0.2, 0.0, 0.0 }, kExact);
+  expose({ 1.0, 0.0, 0.0 });
+  const RefinementRequest asked = request();
+  EXPECT_LT((asked.room_from_patient * scene.targetCentre() - scene.target - Eigen::Vector3d(0.2, 0.0, 0.0)).norm(),
+            kExact)
+      << "from the last one's pose";
+  monitor->onReply(doubted(asked.id), now);
+  expectNone(decision(), MotionState::UNREGISTERED, "the probability is 0.4");
+  EXPECT_EQ(monitor->gate().reason(), GateReason::NOT_MEASURED);
+}
+
+TEST_F(MonitorTest, TrackingAloneWaitsForNothing)
+{
+  options.method = PoseMethod::TRACKING;
+  start();
+  expose({ 0.0, 0.0, 0.0 });
+  expectPose(decision(), PoseSource::TRACKED, { 0.0, 0.0, 0.0 }, kExact);
+  const RefinementRequest asked = request();
+  expose({ 1.0, 0.0, 0.0 });
+  expectPose(decision(), PoseSource::TRACKED, { 1.0, 0.0, 0.0 }, 1e-3);
+  EXPECT_FALSE(monitor->takeRequest());
+  monitor->onReply(believed(asked.id, { 0.3, 0.0, 0.0 }), now);
+  expose({ 2.0, 0.0, 0.0 });
+  expectPose(decision(), PoseSource::TRACKED, { 2.3, 0.0, 0.0 }, 1e-3);
+}
+
+TEST_F(MonitorTest, AContradictionEndsPosesUntilThreeRegistrationsAgree)
+{
+  start();
+  for (int i = 0; i < 6; ++i)
+  {
+    registered({ 0.0, 0.0, 0.0 });
+  }
+  ASSERT_TRUE(monitor->gate().open());
+  for (int i = 0; i < 2; ++i)
+  {
+    expectNone(registered({ 0.0, 0.0, 0.0 }, { 7.0, 0.0, 0.0 }), MotionState::INCONSISTENT, "contradict each other");
+    EXPECT_FALSE(monitor->gate().open());
+    EXPECT_FALSE(monitor->gate().verification().verified());
+  }
+  expectPose(registered({ 0.0, 0.0, 0.0 }, { 7.0, 0.0, 0.0 }), PoseSource::REGISTERED, { 7.0, 0.0, 0.0 }, kExact);
+  // From here on the tracks count from there.
+  expectPose(registered({ 0.5, 0.0, 0.0 }, { 7.0, 0.0, 0.0 }), PoseSource::REGISTERED, { 7.5, 0.0, 0.0 }, kExact);
+}
+
+TEST_F(MonitorTest, AContradictionStaysOneWhileNothingResolvesIt)
+{
+  start();
+  registered({ 0.0, 0.0, 0.0 });
+  registered({ 0.0, 0.0, 0.0 }, { 17.0, 0.0, 0.0 });
+  for (int i = 0; i < 5; ++i)
+  {
+    expose({ 0.0, 0.0, 0.0 });
+    monitor->onReply(doubted(request().id), now);
+    expectNone(decision(), MotionState::INCONSISTENT, "registration and tracks contradict each other");
+  }
+  for (int i = 0; i < 20; ++i)
+  {
+    expectNone(registered({ 0.0, 0.0, 0.0 }, { 17.0, 0.0, 0.0 }), MotionState::INCONSISTENT, "correction is 17");
+  }
+  expectPose(registered({ 0.0, 0.0, 0.0 }), PoseSource::REGISTERED, { 0.0, 0.0, 0.0 }, kExact);
+}
+
+TEST_F(MonitorTest, WithoutTracksTheSecondRegistrationConfirmsTheFirst)
+{
+  start();
+  expose({ 0.0, 0.0, 0.0 }, loseAll);
+  monitor->onReply(believed(request().id, { 0.5, 0.0, 0.0 }), now);
+  expectNone(decision(), MotionState::LOST, "which the next exposure has to confirm");
+  expectPose(registered({ 0.5, 0.0, 0.0 }, { 0.0, 0.0, 0.0 }, loseAll), PoseSource::REGISTERED, { 0.5, 0.0, 0.0 }, kExact);
+  expectPose(registered({ 1.5, 0.0, 0.0 }, { 0.0, 0.0, 0.0 }, loseAll), PoseSource::REGISTERED, { 1.5, 0.0, 0.0 }, kExact);
+  // The next vertebra, 17 mm away, is farther than the target can have gone.
+  expectNone(registered({ 1.5, 0.0, 0.0 }, { 17.0, 0.0, 0.0 }, loseAll), MotionState::LOST, "correction is 17");
+}
+
+TEST_F(MonitorTest, AViewThatHasLostItsRegionLearnsItWhereTheRegistrationSeesTheTarget)
+{
+  start();
+  registered({ 0.0, 0.0, 0.0 });
+  registered({ 2.0, 1.0, -1.0 });
+  const Eigen::Vector3d there(4.0, 2.0, -2.0);
+  registered({ 3.0, 1.5, -1.5 }, Eigen::Vector3d::Zero(), loseFirst);
+  EXPECT_FALSE(monitor->takeProposal()) << "it may be back in the next one";
+  expectPose(registered(there, Eigen::Vector3d::Zero(), loseFirst), PoseSource::REGISTERED, there, kExact);
+  const std::optional<RegionProposal> proposal = monitor->takeProposal();
+  ASSERT_TRUE(proposal);
+  EXPECT_EQ(proposal->view, 0u);
+  const TrackedView view = tracked(0, there);
+  const Eigen::Vector2d expected =
+      Eigen::Vector2d(view.region.x, view.region.y) + view.track.displacement;
+  EXPECT_LT((Eigen::Vector2d(proposal->region.x, proposal->region.y) - expected).norm(), 1.0);
+  EXPECT_EQ(proposal->region.size(), view.region.size());
+  // The new template, of this exposure, is of use in the next one, without a registration too.
+  trained[0] = { stamp, there };
+  expose(there + Eigen::Vector3d(0.5, 0.0, 0.0));
+  monitor->onReply(doubted(request().id), now);
+  expectPose(decision(), PoseSource::TRACKED, there + Eigen::Vector3d(0.5, 0.0, 0.0), 2e-3);
+}
+
+TEST_F(MonitorTest, AViewThatFollowsSomethingElseIsFound)
+{
+  start();
+  registered({ 0.0, 0.0, 0.0 });
+  const auto stray = [](std::vector<std::optional<TrackedView>>& views) { views[1]->track.displacement.x() += 20.0; };
+  expectPose(registered({ 0.0, 0.0, 0.0 }, Eigen::Vector3d::Zero(), stray), PoseSource::REGISTERED, { 0.0, 0.0, 0.0 },
+             kExact);
+  EXPECT_FALSE(monitor->takeProposal()) << "tissue may have come between";
+  const auto farther = [](std::vector<std::optional<TrackedView>>& views) { views[1]->track.displacement.x() += 40.0; };
+  expectPose(registered({ 0.0, 0.0, 0.0 }, Eigen::Vector3d::Zero(), farther), PoseSource::REGISTERED, { 0.0, 0.0, 0.0 },
+             kExact);
+  const std::optional<RegionProposal> proposal = monitor->takeProposal();
+  ASSERT_TRUE(proposal);
+  EXPECT_EQ(proposal->view, 1u);
+  EXPECT_FALSE(monitor->takeProposal());
+}
+
+TEST_F(MonitorTest, NoPoseAfterARestartUntilOneIsConfirmed)
+{
+  start();
+  registered({ 0.0, 0.0, 0.0 });
+  stamp -= 1000 * kInterval;
+  monitor->restart("time went back");
+  trained.assign(2, { stamp + kInterval, Eigen::Vector3d::Zero() });
+  for (int i = 0; i < 3; ++i)
+  {
+    expose({ 0.0, 0.0, 0.0 });
+    monitor->onReply(doubted(request().id), now);
+    expectNone(decision(), MotionState::NO_REFERENCE, "time went back");
+    EXPECT_FALSE(monitor->gate().open());
+  }
+  expectPose(registered({ 0.0, 0.0, 0.0 }, { 1.0, 0.0, 0.0 }), PoseSource::REGISTERED, { 1.0, 0.0, 0.0 }, kExact);
+  expose({ 0.5, 0.0, 0.0 });
+  monitor->onReply(doubted(request().id), now);
+  expectPose(decision(), PoseSource::TRACKED, { 1.5, 0.0, 0.0 }, 1e-3);
+}
+
+TEST_F(MonitorTest, WhatWaitedBeforeARestartIsForgotten)
+{
+  start();
+  expose({ 0.0, 0.0, 0.0 });
+  const RefinementRequest asked = request();
+  monitor->restart("");
+  monitor->onReply(believed(asked.id, { 3.0, 0.0, 0.0 }), now);
+  EXPECT_FALSE(monitor->takeDecision());
+  EXPECT_EQ(monitor->refinement().accepted(), 0u);
+}
+
+TEST_F(MonitorTest, ExposuresThatAreOfNoUseAreAnsweredAtOnce)
+{
+  start();
+  registered({ 0.0, 0.0, 0.0 });
+  TrackedExposure exposure;
+  exposure.stamp = stamp + 1000000 * kInterval;
+  exposure.arrival = now;
+  exposure.fault = MotionState::BAD_STAMP;
+  exposure.text = "of the future";
+  monitor->onExposure(exposure, now);
+  expectNone(decision(), MotionState::BAD_STAMP, "of the future");
+  EXPECT_FALSE(monitor->takeRequest());
+  expose({ 0.0, 0.0, 0.0 }, [](auto& views) { views[1]->state = RegionState::BLIND; });
+  EXPECT_FALSE(monitor->takeRequest()) << "what shows nothing is no evidence";
+  expectNone(decision(), MotionState::LOST, "detector_b is blind");
+  expose({ 0.0, 0.0, 0.0 }, [](auto& views) { views[1].reset(); });
+  monitor->onReply(doubted(request().id), now);
+  expectNone(decision(), MotionState::LOST, "detector_b is silent");
+}
+
+/// The same events give the same decisions, to the last bit.
+TEST_F(MonitorTest, IsDeterministic)
+{
+  const auto run = [this]
+  {
+    stamp = 1700000000000000000;
+    now = 5000 * kMillisecond;
+    start();
+    std::vector<double> numbers;
+    Random random(7);
+    for (int i = 0; i < 50; ++i)
+    {
+      const Eigen::Vector3d motion = random.inCube(2.0);
+      expose(motion, i % 7 == 6 ? Alter(loseFirst) : Alter());
+      const RefinementRequest asked = request();
+      monitor->onReply(i % 5 == 4 ? doubted(asked.id) : believed(asked.id, motion + random.inCube(0.1)), now);
+      const MotionDecision decision = this->decision();
+      numbers.insert(numbers.end(), decision.displacement.data(), decision.displacement.data() + 3);
+      numbers.push_back(static_cast<double>(decision.state));
+    }
+    return numbers;
+  };
+  EXPECT_EQ(run(), run());
+}
+
+TEST_F(MonitorTest, OptionsAreChecked)
+{
+  options.deadline = -0.1;
+  EXPECT_THROW(start(), std::invalid_argument);
+  options.deadline = 0.1;
+  options.refinement.mode = RefinementMode::NEVER;
+  EXPECT_THROW(start(), std::invalid_argument);
+  options.method = PoseMethod::TRACKING;
+  EXPECT_NO_THROW(start());
+  EXPECT_THROW(poseMethodFromName("guessing"), std::invalid_argument);
+}
+}  // namespace
+}  // namespace xray_tracking

@@ -1,0 +1,162 @@
+#include "offline_run.h"
+
+#include <utility>
+
+#include "xray_tracking_hyperplane_tracker/tracker_parameters.h"
+
+namespace xray_tracking
+{
+namespace
+{
+constexpr int kPaperPoints = 600;
+constexpr double kTimeBudget = 600.0;  // [s]: nothing waits, and a result is not to hang on the machine
+
+MotionMonitorOptions monitorOptions(const TreatmentSetup& setup, PoseMethod method, bool paper)
+{
+  MotionMonitorOptions options;
+  options.method = method;
+  for (const ProjectionGeometry& detector : setup.detectors)
+  {
+    options.tracks.views.push_back(detector.name());
+  }
+  if (method != PoseMethod::TRACKING)
+  {
+    options.refinement.mode = RefinementMode::EVERY_FRAME;
+  }
+  if (paper)
+  {
+    options.tracks.estimation.method = EstimationMethod::BACKPROJECTION;
+  }
+  options.derive();
+  return options;
+}
+
+std::unique_ptr<ViewTracker> makeTracker(const TreatmentSetup& setup, const ProjectionGeometry& detector, bool paper)
+{
+  TrackerParameters parameters;
+  parameters.detector = detector.name();
+  if (paper)
+  {
+    parameters.model_by_data = false;
+    parameters.tracker.model = MotionModel::TRANSLATION;
+    parameters.tracker.points = kPaperPoints;
+  }
+  parameters.adopt(setup);
+  parameters.validate();
+  return std::make_unique<ViewTracker>(std::make_unique<HyperplaneTracker>(parameters.tracker, setup.intensity),
+                                       setup.intensity, parameters.tracker.reduction, parameters.tracker.model,
+                                       parameters.model_by_data, parameters.region);
+}
+
+TrackedView trackedView(const ViewAnswer& answer)
+{
+  TrackedView view;
+  view.state = static_cast<RegionState>(answer.state);
+  view.fault = answer.fault;
+  view.region = answer.region;
+  view.reference_stamp = answer.reference_stamp_ns;
+  if (answer.found())
+  {
+    view.track.model = static_cast<TrackModel>(answer.model);
+    view.track.centre = { answer.region.x + (answer.region.width - 1.0) / 2.0,
+                          answer.region.y + (answer.region.height - 1.0) / 2.0 };
+    view.track.displacement = answer.motion.displacement;
+    view.track.linear = answer.motion.linear;
+    view.track.covariance = answer.motion.covariance;
+  }
+  return view;
+}
+}  // namespace
+
+OfflineRun::OfflineRun(const TreatmentSetup& setup, PoseMethod method, std::shared_ptr<const Registration> registration,
+                       bool paper)
+  : setup_(setup),
+    options_(monitorOptions(setup, method, paper)),
+    monitor_(options_, setup.room_from_patient, setup.targetCentre()),
+    views_(setup.detectors.size()),
+    registration_(std::move(registration))
+{
+  monitor_.tracks().setGeometry(setup.detectors, TargetShape::isotropic(setup.targetCentre()));
+  for (std::size_t d = 0; d < views_.size(); ++d)
+  {
+    views_[d].tracker = makeTracker(setup, setup.detectors[d], paper);
+  }
+  if (method != PoseMethod::TRACKING)
+  {
+    sequence_.emplace(setup.targetCentre());
+    sequence_->setRegistration(registration_);
+  }
+}
+
+MotionDecision OfflineRun::add(std::int64_t stamp_ns, const std::vector<cv::Mat>& images)
+{
+  TrackedExposure exposure = track(stamp_ns, images);
+  const std::int64_t now = exposure.arrival;
+  monitor_.onExposure(std::move(exposure), now);
+  std::optional<MotionDecision> decision = monitor_.takeDecision();
+  while (const std::optional<RefinementRequest> request = monitor_.takeRequest())
+  {
+    monitor_.onReply(registered(*request), now);
+  }
+  if (!decision)
+  {
+    decision = monitor_.takeDecision();
+  }
+  while (const std::optional<RegionProposal> proposal = monitor_.takeProposal())
+  {
+    const Eigen::Vector2i& size = setup_.detectors[proposal->view].imageSize();
+    const cv::Rect inside = proposal->region & cv::Rect(0, 0, size.x(), size.y());
+    views_[proposal->view].training = Training{ Training::Kind::REGION, inside };
+  }
+  return *decision;
+}
+
+TrackedExposure OfflineRun::track(std::int64_t stamp_ns, const std::vector<cv::Mat>& images)
+{
+  TrackedExposure exposure;
+  exposure.stamp = stamp_ns;
+  exposure.arrival = stamp_ns;
+  for (std::size_t d = 0; d < views_.size(); ++d)
+  {
+    View& view = views_[d];
+    const std::optional<Training> training = std::exchange(view.training, std::nullopt);
+    exposure.views.push_back(trackedView(view.tracker->answer(images[d], stamp_ns, training)));
+    if (training)
+    {
+      view.tracker->learn(images[d]);
+    }
+    if (sequence_)
+    {
+      view.image = view.pixels.look(images[d], setup_.intensity, stamp_ns);
+    }
+  }
+  return exposure;
+}
+
+RefinementReply OfflineRun::registered(const RefinementRequest& request)
+{
+  RefinementReply reply;
+  reply.id = request.id;
+  RegistrationRequest registration;
+  registration.intensity = setup_.intensity;
+  registration.room_from_patient = request.room_from_patient;
+  registration.time_budget = std::chrono::duration<double>(kTimeBudget);
+  for (std::size_t d = 0; d < views_.size(); ++d)
+  {
+    if (!views_[d].image.fault.empty())
+    {
+      reply.text = setup_.detectors[d].name() + ": " + views_[d].image.fault;
+      return reply;
+    }
+    registration.views.push_back({ setup_.detectors[d], views_[d].image.image, {}, views_[d].image.usable });
+  }
+  const RegistrationResult result = sequence_->run(std::move(registration), request.stamp, request.unverified);
+  reply.success = result.status == RegistrationStatus::SUCCESS;
+  reply.text = result.reason;
+  reply.room_from_patient = result.room_from_patient;
+  reply.covariance = result.poseCovariance(setup_.targetCentre());
+  reply.seed_similarity = result.similarity_before;
+  reply.similarity = result.similarity_after;
+  return reply;
+}
+}  // namespace xray_tracking
