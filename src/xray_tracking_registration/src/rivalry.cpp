@@ -16,9 +16,9 @@ namespace
 constexpr double kAlike = 25.0;
 /// A start is off by about this much, or by more with a long tail [mm].
 constexpr double kOff = 5.0;
-/// No nearer place is more probable than 5 times by this alone where the start is not verified: it may be at the wrong
-/// vertebra.
-constexpr double kMostNearer = 1.6;
+/// No nearer place is more than ten times as probable by this alone where the start is not verified: it may be at the
+/// wrong vertebra.
+constexpr double kMostNearer = 2.3;
 
 double nearness(const Run& run, const RigidTransform& room_from_patient)
 {

@@ -77,9 +77,9 @@ TEST_F(Rivalry, AnAnswerFartherFromTheStartThanItsRivalHasToBeMuchMoreAlike)
 
 TEST_F(Rivalry, AStartThatIsNotVerifiedMayBeAtTheWrongVertebra)
 {
-  EXPECT_FALSE(isBelieved(1.0, 17.0, 0.97));
+  EXPECT_FALSE(isBelieved(1.0, 20.0, 0.985));
   request_.start_verified = true;
-  EXPECT_TRUE(isBelieved(1.0, 17.0, 0.97));
+  EXPECT_TRUE(isBelieved(1.0, 20.0, 0.985));
 }
 
 TEST_F(Rivalry, OfAWideSearchTheStartTellsNothing)
