@@ -1,12 +1,15 @@
 #include <atomic>
 #include <cerrno>
 #include <cstdlib>
+#include <memory>
 #include <vector>
 
 #include <gtest/gtest.h>
 
 #include "synthetic_exposure.h"
+#include "xray_tracking_hyperplane_tracker/exposure_check.h"
 #include "xray_tracking_hyperplane_tracker/hyperplane_tracker.h"
+#include "xray_tracking_hyperplane_tracker/view_tracker.h"
 
 // glibc's own allocator behind counters: everything that operator new, Eigen and OpenCV do ends here.
 namespace
@@ -80,5 +83,48 @@ TEST(Allocation, trackingDoesNotAllocate)
       EXPECT_EQ(allocations - before, 0) << static_cast<int>(model) << " parameters, whole region: " << whole_region;
     }
   }
+}
+
+TEST(Allocation, answeringAllocatesNoMoreThanLooking)
+{
+  IntensityModel intensity;
+  intensity.offset = kOffset;
+  HyperplaneTrackerOptions options;
+  options.model = MotionModel::EUCLIDEAN;
+  ViewTracker tracker(std::make_unique<HyperplaneTracker>(options, intensity), intensity, 1, options.model, true,
+                      cv::Rect(70, 55, 100, 90));
+  const auto exposure = [](std::uint32_t n)
+  {
+    Exposure exposure;
+    exposure.displacement = { 0.5 * n, -0.25 * n };
+    exposure.noise = 0.01;
+    exposure.seed = n;
+    return expose(exposure);
+  };
+  std::vector<cv::Mat> images;
+  for (std::uint32_t n = 0; n < 12; ++n)
+  {
+    images.push_back(exposure(n));
+  }
+  // OpenCV's morphology, by which the X-ray field is found, allocates.
+  ExposureCheck check(intensity);
+  int looking = 0;
+  int answering = 0;
+  for (std::size_t n = 0; n < images.size(); ++n)
+  {
+    const auto stamp = static_cast<std::int64_t>(n + 1);
+    int before = allocations;
+    check.look(images[n], stamp);
+    const int of_look = allocations - before;
+    before = allocations;
+    const ViewAnswer& answer = tracker.answer(images[n], stamp);
+    if (n >= 2)  // the first ones make room
+    {
+      looking += of_look;
+      answering += allocations - before;
+    }
+    ASSERT_EQ(ViewAnswer::State::TRACKING, answer.state) << answer.fault;
+  }
+  EXPECT_EQ(looking, answering);
 }
 }  // namespace xray_tracking

@@ -71,11 +71,10 @@ double callObjective(const std::vector<double>& unknowns, std::vector<double>&, 
 }  // namespace
 
 void optimiseDerivativeFree(const std::vector<ViewLevel>& views, const Bodies& bodies, Moving moving,
-                            Optimiser optimiser, const Similarity& similarity, double reach, RunControl& control,
-                            PosePair& poses)
+                            const Similarity& similarity, double reach, RunControl& control, PosePair& poses)
 {
   const unsigned count = moving == Moving::BOTH ? 12 : 6;
-  nlopt::opt search(optimiser == Optimiser::BOBYQA ? nlopt::LN_BOBYQA : nlopt::LN_NELDERMEAD, count);
+  nlopt::opt search(nlopt::LN_BOBYQA, count);
   Objective objective{ views, bodies, moving, similarity, control, poses, poses };
   search.set_max_objective(callObjective, &objective);
   search.set_lower_bounds(-5.0 * reach);

@@ -8,9 +8,9 @@
 
 namespace xray_tracking
 {
-/// Maximises the mean similarity of all views by NLopt from `poses`, which holds the best poses afterwards.
+/// Maximises the mean similarity of all views by BOBYQA (Powell 2009; NLopt) from `poses`, which holds the best poses
+/// afterwards.
 /// @param reach first step of the search, and a fifth of its bounds [mm and degrees]
 void optimiseDerivativeFree(const std::vector<ViewLevel>& views, const Bodies& bodies, Moving moving,
-                            Optimiser optimiser, const Similarity& similarity, double reach, RunControl& control,
-                            PosePair& poses);
+                            const Similarity& similarity, double reach, RunControl& control, PosePair& poses);
 }  // namespace xray_tracking

@@ -72,9 +72,7 @@ Descender::Descender(const Bodies& bodies, const Eigen::AlignedBox3d& target_box
     voxel_edge_(voxel_edge),
     options_(options),
     similarity_(makeSimilarity(options.similarity)),
-    moving_(bodies.one                              ? Moving::TOGETHER
-            : options.rest == RestMotion::ESTIMATED ? Moving::BOTH
-                                                    : Moving::TARGET)
+    moving_(bodies.one ? Moving::TOGETHER : Moving::BOTH)
 {
 }
 
@@ -279,11 +277,9 @@ void Descender::seekRest(const Run& run, Outcome& outcome) const
 void Descender::descendDerivativeFree(const Run& run, PosePair& poses) const
 {
   run.control.level = 0;
-  optimiseDerivativeFree(makeViews(run, poses, kCoarse), bodies_, together(), options_.optimiser, *similarity_, 3.0,
-                         run.control, poses);
+  optimiseDerivativeFree(makeViews(run, poses, kCoarse), bodies_, together(), *similarity_, 3.0, run.control, poses);
   run.control.level = 1;
-  optimiseDerivativeFree(makeViews(run, poses, kFineWide), bodies_, moving_, options_.optimiser, *similarity_, 0.7,
-                         run.control, poses);
+  optimiseDerivativeFree(makeViews(run, poses, kFineWide), bodies_, moving_, *similarity_, 0.7, run.control, poses);
 }
 
 double Descender::lossAside(const FineLevel& fine, const Outcome& outcome) const

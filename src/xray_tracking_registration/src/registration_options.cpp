@@ -11,7 +11,7 @@ void RegistrationOptions::validate() const
   makeSimilarity(similarity);
   if (projector != Projector::SHEAR_WARP && optimiser == Optimiser::GAUSS_NEWTON)
   {
-    throw std::invalid_argument("projector is not shear_warp: expected a derivative-free optimiser with it");
+    throw std::invalid_argument("projector is not shear_warp: expected bobyqa as the optimiser with it");
   }
   if (!(min_probability >= 0.0 && min_probability <= 1.0))
   {

@@ -16,10 +16,7 @@ namespace
 template <typename T>
 using Names = std::vector<std::pair<std::string, T>>;
 
-const Names<RestMotion> kRestMotions = { { "estimated", RestMotion::ESTIMATED }, { "held", RestMotion::HELD } };
-const Names<Optimiser> kOptimisers = { { "gauss_newton", Optimiser::GAUSS_NEWTON },
-                                       { "bobyqa", Optimiser::BOBYQA },
-                                       { "nelder_mead", Optimiser::NELDER_MEAD } };
+const Names<Optimiser> kOptimisers = { { "gauss_newton", Optimiser::GAUSS_NEWTON }, { "bobyqa", Optimiser::BOBYQA } };
 
 template <typename T>
 std::string nameOf(const Names<T>& names, T value)
@@ -78,7 +75,6 @@ RegistrationParameters readRegistrationParameters(const ros::NodeHandle& pnh)
   requireOneOf("source", parameters.source, "phantom", "ct");
   read(reader, "bodies", parameters.bodies);
   requireOption(parameters.bodies == 1 || parameters.bodies == 2, "bodies", parameters.bodies, "1 or 2");
-  readNamed(reader, "rest", kRestMotions, parameters.options.rest);
   read(reader, "mask/from", parameters.mask);
   requireOption(parameters.mask == "bone" || parameters.mask == "labels" || parameters.mask == "box", "mask/from",
                 parameters.mask, "bone, labels or box");

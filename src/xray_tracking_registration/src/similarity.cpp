@@ -113,11 +113,6 @@ class NormalisedMutualInformation : public Similarity
   }
 };
 
-class NormalisedCrossCorrelation : public Similarity
-{
-  double compare(const cv::Mat& xray, const cv::Mat& drr) const override { return correlation(xray, drr); }
-};
-
 class GradientCorrelation : public Similarity
 {
   double compare(const cv::Mat& xray, const cv::Mat& drr) const override
@@ -125,71 +120,6 @@ class GradientCorrelation : public Similarity
     const Gradients a(xray);
     const Gradients b(drr);
     return 0.5 * (correlation(a.u, b.u) + correlation(a.v, b.v));
-  }
-};
-
-class PatternIntensity : public Similarity
-{
-  static constexpr int kRadius = 3;
-  static constexpr float kSigma = 0.5f;
-
-  double compare(const cv::Mat& xray, const cv::Mat& drr) const override
-  {
-    const cv::Mat difference = xray - drr;
-    double sum = 0.0;
-    double pairs = 0.0;
-    // Half of the neighbourhood, as the measure of a pair does not depend on its order.
-    for (int dv = 0; dv <= kRadius; ++dv)
-    {
-      for (int du = dv == 0 ? 1 : -kRadius; du <= kRadius; ++du)
-      {
-        if (du * du + dv * dv > kRadius * kRadius)
-        {
-          continue;
-        }
-        const int columns = difference.cols - std::abs(du);
-        const int rows = difference.rows - dv;
-        for (int row = 0; row < rows; ++row)
-        {
-          const float* from = difference.ptr<float>(row) + std::max(0, -du);
-          const float* to = difference.ptr<float>(row + dv) + std::max(0, du);
-          float row_sum = 0.0f;
-          for (int column = 0; column < columns; ++column)
-          {
-            const float step = from[column] - to[column];
-            row_sum += kSigma * kSigma / (kSigma * kSigma + step * step);
-          }
-          sum += row_sum;
-        }
-        pairs += static_cast<double>(rows) * columns;
-      }
-    }
-    return sum / pairs;
-  }
-};
-
-class GradientDifference : public Similarity
-{
-  double compare(const cv::Mat& xray, const cv::Mat& drr) const override
-  {
-    const Gradients fixed(xray);
-    const Gradients difference(xray - drr);
-    return 0.5 * (agreement(fixed.u, difference.u) + agreement(fixed.v, difference.v));
-  }
-
-  static double agreement(const cv::Mat& fixed, const cv::Mat& difference)
-  {
-    cv::Scalar mean;
-    cv::Scalar deviation;
-    cv::meanStdDev(fixed, mean, deviation);
-    const double variance = deviation[0] * deviation[0];
-    if (!(variance > 0.0))
-    {
-      return 0.0;
-    }
-    cv::Mat ratio;
-    cv::divide(variance, difference.mul(difference) + variance, ratio);
-    return cv::mean(ratio)[0];
   }
 };
 }  // namespace
@@ -212,21 +142,9 @@ std::unique_ptr<Similarity> makeSimilarity(const std::string& name)
   {
     return std::make_unique<NormalisedMutualInformation>();
   }
-  if (name == "ncc")
-  {
-    return std::make_unique<NormalisedCrossCorrelation>();
-  }
   if (name == "gradient_correlation")
   {
     return std::make_unique<GradientCorrelation>();
-  }
-  if (name == "pattern_intensity")
-  {
-    return std::make_unique<PatternIntensity>();
-  }
-  if (name == "gradient_difference")
-  {
-    return std::make_unique<GradientDifference>();
   }
   std::string known;
   for (const std::string& other : similarityNames())
@@ -238,8 +156,7 @@ std::unique_ptr<Similarity> makeSimilarity(const std::string& name)
 
 const std::vector<std::string>& similarityNames()
 {
-  static const std::vector<std::string> names{ "normalised_mutual_information", "ncc", "gradient_correlation",
-                                               "pattern_intensity", "gradient_difference" };
+  static const std::vector<std::string> names{ "normalised_mutual_information", "gradient_correlation" };
   return names;
 }
 }  // namespace xray_tracking

@@ -187,32 +187,15 @@ TEST(Registration, CtThatEndsNextToTheTargetDoesNotMislead)
   EXPECT_LE(quantile(errors, 1.0), 1.0);
 }
 
-TEST(Registration, HeldRestStaysWhereTheRequestPutsIt)
-{
-  RegistrationOptions options;
-  options.rest = RestMotion::HELD;
-  const Registration held(phantom().bodies(), phantom().targetBox(), options);
-  std::mt19937 random(5);
-  KnownExposure exposure = randomExposure({ 2.0, 1.0, 0.0, 0.0 }, random);
-  // The rest is known: where the truth has it.
-  exposure.request.target_from_rest = exposure.request.room_from_patient.inverse() * exposure.gold;
-  exposure.request.target_from_rest.linear() =
-      rotationFromVector(vectorFromRotation(exposure.request.target_from_rest.linear()));
-  const RegistrationResult result = held.run(exposure.request);
-  EXPECT_EQ(result.status, RegistrationStatus::SUCCESS) << result.reason;
-  EXPECT_LT(error(result, exposure.gold), 0.3);
-  EXPECT_TRUE((result.room_from_patient * result.target_from_rest).isApprox(exposure.gold, 1e-6));
-}
-
-class DerivativeFreeTest : public testing::TestWithParam<std::tuple<Optimiser, std::string>>
+class DerivativeFreeTest : public testing::TestWithParam<std::string>
 {
 };
 
 TEST_P(DerivativeFreeTest, FindsTarget)
 {
   RegistrationOptions options;
-  options.optimiser = std::get<0>(GetParam());
-  options.similarity = std::get<1>(GetParam());
+  options.optimiser = Optimiser::BOBYQA;
+  options.similarity = GetParam();
   const Registration registration(oneBody(phantom().ct()), phantom().targetBox(), options);
   std::mt19937 random(6);
   const KnownExposure exposure = randomExposure({ 2.0, 1.0, 0.0, 0.0 }, random);
@@ -221,12 +204,7 @@ TEST_P(DerivativeFreeTest, FindsTarget)
 }
 
 INSTANTIATE_TEST_SUITE_P(All, DerivativeFreeTest,
-                         testing::Values(std::make_tuple(Optimiser::BOBYQA, "normalised_mutual_information"),
-                                         std::make_tuple(Optimiser::BOBYQA, "gradient_correlation"),
-                                         std::make_tuple(Optimiser::BOBYQA, "ncc"),
-                                         std::make_tuple(Optimiser::BOBYQA, "pattern_intensity"),
-                                         std::make_tuple(Optimiser::BOBYQA, "gradient_difference"),
-                                         std::make_tuple(Optimiser::NELDER_MEAD, "normalised_mutual_information")));
+                         testing::Values("normalised_mutual_information", "gradient_correlation"));
 
 TEST(Registration, AttenuationFieldGivesThePosesOfRayCasting)
 {

@@ -56,15 +56,6 @@ Values standardised(const cv::Mat& image)
   return values;
 }
 
-Values minus(Values a, const Values& b)
-{
-  for (std::size_t n = 0; n < a.size(); ++n)
-  {
-    a[n] -= b[n];
-  }
-  return a;
-}
-
 double at(const Values& image, int u, int v)
 {
   // Mirrored at the border, the outermost pixel twice.
@@ -119,47 +110,6 @@ double correlation(const Values& a, const Values& b)
   return covariance(a, b) / std::sqrt(covariance(a, a) * covariance(b, b));
 }
 
-double gradientDifference(const Values& a, const Values& b)
-{
-  double result = 0.0;
-  for (int du = 0; du <= 1; ++du)
-  {
-    const double variance = covariance(gradient(a, du), gradient(a, du));
-    Values terms = gradient(minus(a, b), du);
-    for (double& term : terms)
-    {
-      term = variance / (variance + term * term);
-    }
-    result += 0.5 * mean(terms);
-  }
-  return result;
-}
-
-double patternIntensity(const Values& a, const Values& b)
-{
-  const Values difference = minus(a, b);
-  Values terms;
-  for (int v = 0; v < kRows; ++v)
-  {
-    for (int u = 0; u < kColumns; ++u)
-    {
-      for (int y = 0; y < kRows; ++y)
-      {
-        for (int x = 0; x < kColumns; ++x)
-        {
-          const bool same = x == u && y == v;
-          if (!same && std::hypot(x - u, y - v) <= 3.0)
-          {
-            const double step = difference[v * kColumns + u] - difference[y * kColumns + x];
-            terms.push_back(0.25 / (0.25 + step * step));
-          }
-        }
-      }
-    }
-  }
-  return mean(terms);
-}
-
 /// The joint histogram as hat functions around the bin centres, bin by bin.
 double normalisedMutualInformation(const Values& a, const Values& b)
 {
@@ -198,19 +148,9 @@ double independently(const std::string& name, const cv::Mat& xray, const cv::Mat
 {
   const Values a = standardised(xray);
   const Values b = standardised(drr);
-  if (name == "ncc")
-  {
-    return correlation(a, b);
-  }
-  if (name == "gradient_correlation")
-  {
-    return 0.5 * (correlation(gradient(a, 0), gradient(b, 0)) + correlation(gradient(a, 1), gradient(b, 1)));
-  }
-  if (name == "gradient_difference")
-  {
-    return gradientDifference(a, b);
-  }
-  return name == "pattern_intensity" ? patternIntensity(a, b) : normalisedMutualInformation(a, b);
+  return name == "gradient_correlation"
+             ? 0.5 * (correlation(gradient(a, 0), gradient(b, 0)) + correlation(gradient(a, 1), gradient(b, 1)))
+             : normalisedMutualInformation(a, b);
 }
 }  // namespace
 
@@ -304,7 +244,7 @@ TEST(Similarity, UnknownNameNamesThoseThereAre)
   catch (const std::invalid_argument& error)
   {
     EXPECT_NE(std::string(error.what()).find("'mutual'"), std::string::npos);
-    EXPECT_NE(std::string(error.what()).find("gradient_difference"), std::string::npos);
+    EXPECT_NE(std::string(error.what()).find("gradient_correlation"), std::string::npos);
   }
 }
 }  // namespace xray_tracking

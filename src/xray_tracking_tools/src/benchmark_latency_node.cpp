@@ -1,13 +1,15 @@
 #include <algorithm>
-#include <fstream>
+#include <cstdint>
+#include <cstring>
 #include <iostream>
 #include <map>
 #include <mutex>
-#include <sstream>
+#include <random>
 
 #include <ros/ros.h>
 #include <sensor_msgs/CameraInfo.h>
 #include <tf2_msgs/TFMessage.h>
+#include <nlohmann/json.hpp>
 
 #include "xray_tracking_conversions/conversions.h"
 #include "xray_tracking_core/evaluation/evaluation.h"
@@ -15,6 +17,7 @@
 #include "xray_tracking_tools/exposure_set.h"
 #include "xray_tracking_tools/graph_connections.h"
 #include "xray_tracking_tools/image_message.h"
+#include "xray_tracking_tools/json_file.h"
 
 namespace po = boost::program_options;
 
@@ -26,7 +29,9 @@ namespace
 class LatencyBenchmark
 {
 public:
-  explicit LatencyBenchmark(const ExposureSet& exposures) : count_(exposures.images.size())
+  /// @param registers whether a registration has to listen, too
+  LatencyBenchmark(const ExposureSet& exposures, bool registers)
+    : count_(exposures.images.size()), registers_(registers)
   {
     for (std::size_t d = 0; d < exposures.setup.detectors.size(); ++d)
     {
@@ -66,6 +71,10 @@ public:
   ros::Time expose(std::size_t k)
   {
     const std::size_t index = backAndForth(k, count_);
+    for (Detector& detector : detectors_)
+    {
+      renewLastBits(detector.images[index]);
+    }
     const ros::Time stamp = ros::Time::now();
     for (Detector& detector : detectors_)
     {
@@ -105,6 +114,19 @@ private:
     std::string region_topic;
   };
 
+  /// As a detector's noise does: an image that comes again bit for bit is taken for that of a panel that stands still.
+  void renewLastBits(sensor_msgs::Image& image)
+  {
+    for (std::size_t i = 0; i + sizeof(std::uint64_t) <= image.data.size(); i += sizeof(std::uint64_t))
+    {
+      constexpr std::uint64_t kLastBits = 0x0001000100010001;  // of four little-endian pixels
+      std::uint64_t pixels = 0;
+      std::memcpy(&pixels, &image.data[i], sizeof(pixels));
+      pixels ^= random_() & kLastBits;
+      std::memcpy(&image.data[i], &pixels, sizeof(pixels));
+    }
+  }
+
   std::string missingListener() const
   {
     if (tf_subscriber_.getNumPublishers() == 0)
@@ -122,6 +144,11 @@ private:
         }
       }
       listeners[detector.region_topic] = { nh_.resolveName("motion_estimation") };
+      if (registers_)
+      {
+        listeners[detector.image_publisher.getTopic()] =
+            listeners[detector.info_publisher.getTopic()] = { nh_.resolveName("registration") };
+      }
     }
     const std::vector<std::string> missing = missingConnections(listeners);
     return missing.empty() ? "" : missing.front();
@@ -142,6 +169,8 @@ private:
 
   ros::NodeHandle nh_;
   std::size_t count_;
+  bool registers_;
+  std::mt19937_64 random_{ 1 };
   std::vector<Detector> detectors_;
   ros::Subscriber tf_subscriber_;
   std::mutex mutex_;
@@ -216,28 +245,29 @@ int benchmarkLatency(const po::variables_map& arguments)
   const int exposures = arguments["exposures"].as<int>();
   requireAtLeast("--rate", rate_hz, 0.01);
   requireAtLeast("--exposures", exposures, 2);
-  LatencyBenchmark benchmark(loadExposureSet(arguments["SETUP_OR_SEQUENCE_DIR"].as<std::string>()));
+  const std::string method = arguments["method"].as<std::string>();
+  if (method != "tracking" && method != "registration" && method != "tracking_and_registration")
+  {
+    throw std::invalid_argument("--method is " + method +
+                                ", expected tracking, registration or tracking_and_registration");
+  }
+  LatencyBenchmark benchmark(loadExposureSet(arguments["SETUP_OR_SEQUENCE_DIR"].as<std::string>()),
+                             method != "tracking");
   ros::AsyncSpinner spinner(1);
   spinner.start();
   benchmark.waitForGraph();
   const LatencyReport report = measure(benchmark, rate_hz, exposures);
 
-  std::ostringstream json;
+  nlohmann::json json;
   for (const auto& [name, value] : figures(report))
   {
     std::cout << "exposure to tf: " << name << " " << value << "\n";
-    json << (json.tellp() == 0 ? "{" : ", ") << '"' << name << "\": " << value;
+    json[name] = value;
   }
   std::cout << std::flush;
   if (arguments.count("json") != 0)
   {
-    const std::string path = arguments["json"].as<std::string>();
-    std::ofstream file(path);
-    file << json.str() << "}\n";
-    if (!file.flush())
-    {
-      throw std::runtime_error(path + ": cannot be written");
-    }
+    writeJsonFile(arguments["json"].as<std::string>(), json);
   }
   return report.lost == 0 ? 0 : 1;
 }
@@ -248,14 +278,17 @@ int main(int argc, char** argv)
 {
   ros::init(argc, argv, "benchmark_latency");  // takes ROS's own arguments out
   xray_tracking::CommandLine command_line;
-  command_line.usage = "SETUP_OR_SEQUENCE_DIR [--rate 10] [--exposures 200] [--json FILE]";
+  command_line.usage = "SETUP_OR_SEQUENCE_DIR [--method NAME] [--rate 10] [--exposures 200] [--json FILE]";
   command_line.description =
       "Time from an exposure's publication to its transform treatment_room -> patient in a running graph without a\n"
       "simulator (latency.launch): the images of a sequence, or of the phantom for another setup file, back and "
       "forth.\n"
       "Exit status 0 only if every exposure was answered.";
   command_line.arguments = { "SETUP_OR_SEQUENCE_DIR" };
-  command_line.options.add_options()("rate", po::value<double>()->default_value(10.0), "exposures a second [Hz]")(
+  command_line.options.add_options()(
+      "method", po::value<std::string>()->default_value("tracking"),
+      "of the graph: tracking, registration or tracking_and_registration; a registration is waited for")(
+      "rate", po::value<double>()->default_value(10.0), "exposures a second [Hz]")(
       "exposures", po::value<int>()->default_value(200), "number of exposures")("json", po::value<std::string>(),
                                                                                 "writes the figures to this file");
   return xray_tracking::runCommand(argc, argv, command_line, xray_tracking::benchmarkLatency);

@@ -27,11 +27,7 @@ Optimiser optimiserNamed(const std::string& name)
   {
     return Optimiser::BOBYQA;
   }
-  if (name == "nelder_mead")
-  {
-    return Optimiser::NELDER_MEAD;
-  }
-  throw std::invalid_argument("optimiser is " + name + ", expected gauss_newton, bobyqa or nelder_mead");
+  throw std::invalid_argument("optimiser is " + name + ", expected gauss_newton or bobyqa");
 }
 
 Projector projectorNamed(const std::string& name)
@@ -181,7 +177,7 @@ int main(int argc, char** argv)
       "rest_degrees", po::value<double>()->default_value(usual.rest_degrees), "the same")(
       "bodies", po::value<int>()->default_value(2), "1 or 2")("starts", po::value<int>()->default_value(200),
                                                               "spread over all distances, 8 or more")(
-      "optimiser", po::value<std::string>()->default_value("gauss_newton"), "gauss_newton, bobyqa or nelder_mead")(
+      "optimiser", po::value<std::string>()->default_value("gauss_newton"), "gauss_newton or bobyqa")(
       "similarity", po::value<std::string>()->default_value("gradient_correlation"),
       "of the derivative-free optimisers")("projector", po::value<std::string>()->default_value("shear_warp"),
                                            "shear_warp, ray_casting or attenuation_field")(

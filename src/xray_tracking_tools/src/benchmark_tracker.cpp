@@ -1,13 +1,15 @@
 #include <array>
-#include <fstream>
 #include <iostream>
 #include <set>
+
+#include <nlohmann/json.hpp>
 
 #include "benchmark_tracker/contestant.h"
 #include "benchmark_tracker/follow.h"
 #include "benchmark_tracker/scene_benchmark.h"
 #include "xray_tracking_tools/command_line.h"
 #include "xray_tracking_tools/exposure_set.h"
+#include "xray_tracking_tools/json_file.h"
 
 namespace po = boost::program_options;
 
@@ -118,13 +120,7 @@ int benchmarkTracker(const po::variables_map& arguments)
   }
   if (arguments.count("json") != 0)
   {
-    const std::string path = arguments["json"].as<std::string>();
-    std::ofstream file(path);
-    writeJson(file, tables);
-    if (!file.flush())
-    {
-      throw std::runtime_error(path + ": cannot be written");
-    }
+    writeJsonFile(arguments["json"].as<std::string>(), toJson(tables));
   }
   return 0;
 }

@@ -2,17 +2,19 @@
 
 #include <algorithm>
 #include <cmath>
-#include <fstream>
 #include <iomanip>
 #include <iostream>
 #include <sstream>
-#include <stdexcept>
+
+#include <nlohmann/json.hpp>
+
+#include "xray_tracking_tools/json_file.h"
 
 namespace xray_tracking
 {
 void FigureTable::add(const std::string& column, const std::string& text)
 {
-  rows_.back().push_back({ column, text, false });
+  rows_.back().push_back({ column, text, std::nullopt });
 }
 
 void FigureTable::add(const std::string& column, double value, int decimals)
@@ -22,7 +24,7 @@ void FigureTable::add(const std::string& column, double value, int decimals)
   {
     text << std::fixed << std::setprecision(decimals) << value;
   }
-  rows_.back().push_back({ column, text.str(), true });
+  rows_.back().push_back({ column, text.str(), value });
 }
 
 std::string FigureTable::text() const
@@ -36,7 +38,7 @@ std::string FigureTable::text() const
       if (std::find(columns.begin(), columns.end(), cell.column) == columns.end())
       {
         columns.push_back(cell.column);
-        is_number.push_back(cell.is_number);
+        is_number.push_back(cell.number.has_value());
       }
     }
   }
@@ -69,50 +71,39 @@ std::string FigureTable::text() const
   return out.str();
 }
 
-std::string FigureTable::json() const
+nlohmann::json FigureTable::json() const
 {
-  std::ostringstream out;
-  out << "[";
-  for (std::size_t n = 0; n < rows_.size(); ++n)
+  nlohmann::json rows = nlohmann::json::array();
+  for (const std::vector<Cell>& row : rows_)
   {
-    out << (n == 0 ? "\n    {" : ",\n    {");
-    for (std::size_t c = 0; c < rows_[n].size(); ++c)
+    nlohmann::json& object = rows.emplace_back(nlohmann::json::object());
+    for (const Cell& cell : row)
     {
-      const Cell& cell = rows_[n][c];
-      out << (c == 0 ? "" : ", ") << std::quoted(cell.column) << ": ";
-      if (cell.is_number)
+      if (cell.number)
       {
-        out << (cell.text.empty() ? "null" : cell.text);
+        object[cell.column] = *cell.number;
       }
       else
       {
-        out << std::quoted(cell.text);
+        object[cell.column] = cell.text;
       }
     }
-    out << "}";
   }
-  out << "\n  ]";
-  return out.str();
+  return rows;
 }
 
 void report(const std::vector<FigureTable>& tables, const std::string& path)
 {
-  std::ostringstream json;
+  nlohmann::json json = nlohmann::json::object();
   for (const FigureTable& table : tables)
   {
     std::cout << table.text() << "\n";
-    json << (json.tellp() == 0 ? "{\n  " : ",\n  ") << std::quoted(table.name()) << ": " << table.json();
+    json[table.name()] = table.json();
   }
   std::cout << std::flush;
-  if (path.empty())
+  if (!path.empty())
   {
-    return;
-  }
-  std::ofstream file(path);
-  file << json.str() << "\n}\n";
-  if (!file.flush())
-  {
-    throw std::runtime_error(path + ": cannot be written");
+    writeJsonFile(path, json);
   }
 }
 }  // namespace xray_tracking

@@ -1,11 +1,12 @@
 #include <cmath>
-#include <cstdio>
 #include <filesystem>
 #include <fstream>
 #include <iomanip>
 #include <limits>
 #include <locale>
 #include <stdexcept>
+
+#include <nlohmann/json.hpp>
 
 #include "judged_method.h"
 
@@ -15,48 +16,15 @@ namespace
 {
 constexpr double kDegreesPerRadian = 180.0 / M_PI;
 
-/// A number in a table's field or a JSON value; `missing` where it is not finite.
-struct Number
+/// A number in a table's field, which is empty where it is not finite.
+struct Field
 {
   double value;
-  const char* missing;
 };
 
-std::ostream& operator<<(std::ostream& out, const Number& number)
+std::ostream& operator<<(std::ostream& out, const Field& field)
 {
-  return std::isfinite(number.value) ? out << number.value : out << number.missing;
-}
-
-Number field(double value)
-{
-  return { value, "" };
-}
-Number json(double value)
-{
-  return { value, "null" };
-}
-
-std::string jsonString(const std::string& text)
-{
-  std::string quoted = "\"";
-  for (const char c : text)
-  {
-    if (c == '"' || c == '\\')
-    {
-      quoted += '\\';
-    }
-    if (static_cast<unsigned char>(c) < 0x20)
-    {
-      char escape[8];
-      std::snprintf(escape, sizeof(escape), "\\u%04x", static_cast<unsigned>(c));
-      quoted += escape;
-    }
-    else
-    {
-      quoted += c;
-    }
-  }
-  return quoted + '"';
+  return std::isfinite(field.value) ? out << field.value : out;
 }
 
 const char* nameOf(FrameStatus status)
@@ -105,9 +73,9 @@ void writeErrors(std::ostream& out, const Evaluation& evaluation, const std::vec
         rotation_error = kDegreesPerRadian * rotationAngle(gold.inverse() * frame.room_from_patient);
       }
       writeRowStart(out, evaluation, i, method.name);
-      out << ',' << field(method.tre_mm[i]) << ',' << field(uncorrected) << ',' << field(translation_error) << ','
-          << field(rotation_error) << ',' << nameOf(frame.status) << ',' << field(frame.cpu_s) << ','
-          << field(frame.wall_s) << '\n';
+      out << ',' << Field{ method.tre_mm[i] } << ',' << Field{ uncorrected } << ',' << Field{ translation_error } << ','
+          << Field{ rotation_error } << ',' << nameOf(frame.status) << ',' << Field{ frame.cpu_s } << ','
+          << Field{ frame.wall_s } << '\n';
     }
   }
 }
@@ -135,30 +103,33 @@ void writePoses(std::ostream& out, const Evaluation& evaluation, const std::vect
   }
 }
 
-void writeTimes(std::ostream& out, const TimeSummary& times)
+// A number that is not finite is written as null.
+nlohmann::json jsonOf(const TimeSummary& times)
 {
-  out << "{\"first\": " << json(times.first) << ", \"median\": " << json(times.median)
-      << ", \"mean\": " << json(times.mean) << ", \"max\": " << json(times.max) << '}';
+  return { { "first", times.first }, { "median", times.median }, { "mean", times.mean }, { "max", times.max } };
 }
 
-void writeMethod(std::ostream& out, const MethodSummary& summary)
+nlohmann::json jsonOf(const MethodSummary& summary)
 {
   const std::vector<double>& tre = summary.tre_mm;
-  out << jsonString(summary.method) << ": {\n      \"tre_mm\": {\"mean\": " << json(meanOrNan(tre))
-      << ", \"median\": " << json(quantileOrNan(tre, 0.5)) << ", \"p25\": " << json(quantileOrNan(tre, 0.25))
-      << ", \"p75\": " << json(quantileOrNan(tre, 0.75)) << ", \"p95\": " << json(quantileOrNan(tre, 0.95))
-      << ", \"min\": " << json(quantileOrNan(tre, 0.0)) << ", \"max\": " << json(quantileOrNan(tre, 1.0))
-      << "},\n      \"within_1_2_mm\": " << json(summary.within_1_2_mm)
-      << ", \"within_2_4_mm\": " << json(summary.within_2_4_mm) << ", \"lost\": " << summary.lost
-      << ", \"failed\": " << summary.failed << ",\n      \"cpu_s\": ";
-  writeTimes(out, summary.cpu_s);
-  out << ",\n      \"wall_s\": ";
-  writeTimes(out, summary.wall_s);
-  out << "\n    }";
+  return { { "tre_mm",
+             { { "mean", meanOrNan(tre) },
+               { "median", quantileOrNan(tre, 0.5) },
+               { "p25", quantileOrNan(tre, 0.25) },
+               { "p75", quantileOrNan(tre, 0.75) },
+               { "p95", quantileOrNan(tre, 0.95) },
+               { "min", quantileOrNan(tre, 0.0) },
+               { "max", quantileOrNan(tre, 1.0) } } },
+           { "within_1_2_mm", summary.within_1_2_mm },
+           { "within_2_4_mm", summary.within_2_4_mm },
+           { "lost", summary.lost },
+           { "failed", summary.failed },
+           { "cpu_s", jsonOf(summary.cpu_s) },
+           { "wall_s", jsonOf(summary.wall_s) } };
 }
 
 /// Over the frames after the first in which both have an error.
-void writePairedTTest(std::ostream& out, const JudgedMethod& a, const JudgedMethod& b)
+nlohmann::json jsonOfPairedTTest(const JudgedMethod& a, const JudgedMethod& b)
 {
   std::vector<double> errors_a;
   std::vector<double> errors_b;
@@ -177,39 +148,32 @@ void writePairedTTest(std::ostream& out, const JudgedMethod& a, const JudgedMeth
   {
     test = pairedTTest(errors_a, errors_b);
   }
-  out << jsonString(a.name + " vs " + b.name) << ": {\"t\": " << json(test.t) << ", \"p\": " << json(test.p)
-      << ", \"n\": " << test.n << '}';
+  return { { "t", test.t }, { "p", test.p }, { "n", test.n } };
 }
 
 void writeSummary(std::ostream& out, const Evaluation& evaluation, const std::vector<JudgedMethod>& methods)
 {
-  out << "{\n  \"sequence\": " << jsonString(evaluation.sequence) << ",\n  \"frames\": " << evaluation.stamps_ns.size()
-      << ",\n  \"methods\": {";
-  const char* separator = "\n    ";
+  nlohmann::json json = { { "sequence", evaluation.sequence },
+                          { "frames", evaluation.stamps_ns.size() },
+                          { "methods", nlohmann::json::object() },
+                          { "paired_t_test", nlohmann::json::object() } };
   for (const MethodSummary& summary : summarize(evaluation))
   {
-    out << separator;
-    writeMethod(out, summary);
-    separator = ",\n    ";
+    json["methods"][summary.method] = jsonOf(summary);
   }
-  out << "\n  },";
   if (evaluation.gate)
   {
-    out << "\n  \"gate\": {\"verified\": " << evaluation.gate->verified << ", \"open\": " << evaluation.gate->open
-        << "},";
+    json["gate"] = { { "verified", evaluation.gate->verified }, { "open", evaluation.gate->open } };
   }
-  out << "\n  \"paired_t_test\": {";
-  separator = "\n    ";
   for (std::size_t a = 0; a < methods.size(); ++a)
   {
     for (std::size_t b = a + 1; b < methods.size(); ++b)
     {
-      out << separator;
-      writePairedTTest(out, methods[a], methods[b]);
-      separator = ",\n    ";
+      json["paired_t_test"][methods[a].name + " vs " + methods[b].name] = jsonOfPairedTTest(methods[a], methods[b]);
     }
   }
-  out << "\n  }\n}\n";
+  // Names may come from folders, whose bytes need not be UTF-8.
+  out << json.dump(2, ' ', false, nlohmann::json::error_handler_t::replace) << '\n';
 }
 }  // namespace
 

@@ -64,7 +64,8 @@ struct Training
 ///   answer = tracker.answer(image, stamp, training);   // then out with the answer, as learning takes long
 ///   if (training) outcome = tracker.learn(image);
 ///
-/// Not thread-safe. No allocation for an exposure that is tracked.
+/// Not thread-safe. No allocation for an exposure that is tracked, but for OpenCV's own where ExposureCheck looks at
+/// it.
 class ViewTracker
 {
 public:

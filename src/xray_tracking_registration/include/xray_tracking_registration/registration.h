@@ -15,33 +15,24 @@
 
 namespace xray_tracking
 {
-/// What the rest of the body does; of two bodies only.
-enum class RestMotion
-{
-  ESTIMATED,  ///< 6 degrees of freedom of its own, a nuisance
-  HELD        ///< stays, relative to the room, where the request puts it
-};
-
 enum class Optimiser
 {
   GAUSS_NEWTON,  ///< Levenberg-Marquardt on least squares of normalised images, with a Huber norm
-  BOBYQA,        ///< derivative-free, on `similarity`
-  NELDER_MEAD    ///< derivative-free, on `similarity`
+  BOBYQA         ///< derivative-free, on `similarity`
 };
 
 /// Where line integrals come from.
 enum class Projector
 {
   SHEAR_WARP,
-  RAY_CASTING,       ///< exact, ray by ray; derivative-free optimisers only
-  ATTENUATION_FIELD  ///< the same, kept for later poses (AttenuationField); derivative-free optimisers only
+  RAY_CASTING,       ///< exact, ray by ray; BOBYQA only
+  ATTENUATION_FIELD  ///< the same, kept for later poses (AttenuationField); BOBYQA only
 };
 
 struct RegistrationOptions
 {
-  RestMotion rest = RestMotion::ESTIMATED;
   Optimiser optimiser = Optimiser::GAUSS_NEWTON;
-  /// What the derivative-free optimisers maximise (makeSimilarity()), the mean over the views.
+  /// What BOBYQA maximises (makeSimilarity()), the mean over the views.
   std::string similarity = "gradient_correlation";
   /// Shear-warp is faster than either other one by far; the attenuation field is what ray casting needs to be usable.
   Projector projector = Projector::SHEAR_WARP;

@@ -9,8 +9,7 @@
 namespace xray_tracking
 {
 /// How alike an X-ray image and a DRR are. Larger is more alike. None depends on the images' scale and offset: both are
-/// brought to mean 0 and standard deviation 1 first, so that `s`, the scale that pattern intensity and gradient
-/// difference put on the DRR, is the ratio of the standard deviations.
+/// brought to mean 0 and standard deviation 1 first.
 class Similarity
 {
 public:
@@ -31,13 +30,8 @@ private:
 ///   that it has for independent images). Joint histogram of 32 x 32 bins over each image's own range of +-3 standard
 ///   deviations (values beyond count at the border), every pixel shared among the 4 nearest bin centres by linear
 ///   weights;
-/// - `ncc`: correlation coefficient;
 /// - `gradient_correlation`: mean of the correlation coefficients of the horizontal and of the vertical Sobel gradients
-///   (Penney, IEEE TMI 17(4), 1998);
-/// - `pattern_intensity`: mean over pixels and their neighbours within 3 pixels of sigma^2 / (sigma^2 + (D(x) -
-///   D(y))^2), D = xray - drr, sigma = 0.5 standard deviations (Weese, IEEE T-ITB 1(4), 1997; as Penney);
-/// - `gradient_difference`: mean over both directions and pixels of A / (A + G^2), G the gradient of D, A the variance
-///   of the X-ray image's gradient in that direction (Penney).
+///   (Penney, IEEE TMI 17(4), 1998).
 /// @throws std::invalid_argument naming the similarity and those there are
 std::unique_ptr<Similarity> makeSimilarity(const std::string& name);
 

@@ -1,8 +1,11 @@
 #pragma once
 
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
+
+#include <nlohmann/json_fwd.hpp>
 
 namespace xray_tracking
 {
@@ -22,14 +25,14 @@ public:
   /// Aligned columns; those of rows that lack a column are empty.
   std::string text() const;
   /// An array with one object for each row.
-  std::string json() const;
+  nlohmann::json json() const;
 
 private:
   struct Cell
   {
     std::string column;
     std::string text;
-    bool is_number;
+    std::optional<double> number;
   };
 
   std::string name_;

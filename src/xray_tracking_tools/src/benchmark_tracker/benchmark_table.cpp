@@ -6,6 +6,8 @@
 #include <ostream>
 #include <sstream>
 
+#include <nlohmann/json.hpp>
+
 namespace xray_tracking
 {
 namespace
@@ -49,27 +51,19 @@ void printTable(std::ostream& out, const BenchmarkTable& table)
   out << std::flush;
 }
 
-void writeJson(std::ostream& out, const std::vector<BenchmarkTable>& tables)
+nlohmann::json toJson(const std::vector<BenchmarkTable>& tables)
 {
-  const auto quoted = [](const std::string& text) { return '"' + text + '"'; };
-  out << "{";
-  for (std::size_t t = 0; t < tables.size(); ++t)
+  nlohmann::json json = nlohmann::json::object();
+  for (const BenchmarkTable& table : tables)
   {
-    const BenchmarkTable& table = tables[t];
-    out << (t == 0 ? "\n  " : ",\n  ") << quoted(table.title) << ": {";
-    for (std::size_t r = 0; r < table.rows.size(); ++r)
+    for (const auto& [name, values] : table.rows)
     {
-      out << (r == 0 ? "\n    " : ",\n    ") << quoted(table.rows[r].first) << ": {";
       for (std::size_t c = 0; c < table.columns.size(); ++c)
       {
-        out << (c == 0 ? "" : ", ") << quoted(table.columns[c]) << ": ";
-        const double value = table.rows[r].second[c];
-        std::isfinite(value) ? out << value : out << "null";
+        json[table.title][name][table.columns[c]] = values[c];
       }
-      out << "}";
     }
-    out << "\n  }";
   }
-  out << "\n}\n";
+  return json;
 }
 }  // namespace xray_tracking

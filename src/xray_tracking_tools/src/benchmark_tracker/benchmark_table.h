@@ -5,6 +5,8 @@
 #include <utility>
 #include <vector>
 
+#include <nlohmann/json_fwd.hpp>
+
 namespace xray_tracking
 {
 /// Figures of one kind for several contestants; NaN where there is none.
@@ -17,5 +19,5 @@ struct BenchmarkTable
 
 void printTable(std::ostream& out, const BenchmarkTable& table);
 /// One object a table: {title: {row: {column: value}}}; null for NaN.
-void writeJson(std::ostream& out, const std::vector<BenchmarkTable>& tables);
+nlohmann::json toJson(const std::vector<BenchmarkTable>& tables);
 }  // namespace xray_tracking

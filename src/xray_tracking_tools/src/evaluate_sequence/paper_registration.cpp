@@ -10,7 +10,7 @@ RegistrationOptions paperOptions()
 {
   RegistrationOptions options;
   options.optimiser = Optimiser::BOBYQA;
-  options.similarity = "nmi";
+  options.similarity = "normalised_mutual_information";
   options.projector = Projector::ATTENUATION_FIELD;
   return options;
 }
