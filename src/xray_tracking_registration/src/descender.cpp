@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <numeric>
 #include <stdexcept>
 
 #include <tbb/parallel_for.h>
@@ -26,6 +27,10 @@ constexpr Resolution kFineWide{ 1.1, 11.0 };  // for similarities that live on t
 constexpr Descent kTogether{ 12, 3e-3 };
 constexpr Descent kApart{ 8, 3e-3 };
 constexpr Descent kFinish{ 15, 1e-4 };
+/// Where the rest is sought around where the request puts it, and from how many of these places it is followed.
+constexpr double kRestTurned = 4.0 * M_PI / 180.0;
+constexpr double kRestShifted = 5.0;  // [mm]
+constexpr int kRestTries = 4;
 constexpr Descent kPart{ 8, 1e-3 };  // to see whether one body would rather be two
 
 /// How far the rest may have moved against the target since the start: weak, a standard deviation of 4 degrees and 5
@@ -36,10 +41,6 @@ const Twist kRestInformation =
 /// outweighs it (thorax_01 and thorax_02 do not change by it); seen at its edge alone, as in knee_real on which it was
 /// chosen, the rest goes to and fro by millimetres without it.
 const Twist kRestFollowed = 16.0 * kRestInformation;
-/// A rival with more than this share of an outcome's similarity is as good. Right places' rivals stay below 0.87 in 95
-/// of 100 (random subjects), the next vertebra of C3 and C5 below 0.92 in 96; where a wrong place was taken for its
-/// being nearer to the start, the right one has more than 1.
-constexpr double kAsGood = 0.92;
 /// Half a neck's vertebra [mm].
 constexpr double kSamePlace = 9.0;
 /// A view that is less alike does not show what the others do, however alike these are: an image of another exposure
@@ -62,16 +63,6 @@ void doubtFor(std::string reason, Outcome& outcome)
 {
   outcome.doubt = std::move(reason);
   outcome.probability = std::min(outcome.probability, 0.5);
-}
-
-void doubtIfRivalled(const Rival& rival, const char* what, Outcome& outcome)
-{
-  if (outcome.doubt.empty() && rival.similarity > kAsGood * outcome.similarity)
-  {
-    doubtFor(message(what, " ", rival.distance_mm, " mm and ", rival.rotation_rad,
-                     " rad away is as similar: ", rival.similarity, ", here ", outcome.similarity),
-             outcome);
-  }
 }
 
 Descender::Descender(const Bodies& bodies, const Eigen::AlignedBox3d& target_box, double voxel_edge,
@@ -212,6 +203,74 @@ void Descender::follow(const Run& run, Path path, PosePair& poses) const
       iterate(coarse, Moving::TOGETHER, kTogether);
     }
     iterate(coarse, moving_, kApart);
+    if (moving_ == Moving::BOTH)
+    {
+      // The coarse level leaves the rest farther off than the finest one reaches.
+      iterate(makeViews(run, poses, kMedium), moving_, kApart);
+    }
+  }
+}
+
+void Descender::seekRest(const Run& run, Outcome& outcome) const
+{
+  if (moving_ != Moving::BOTH || outcome.views.empty() || outcome.rest_sought)
+  {
+    return;
+  }
+  outcome.rest_sought = true;
+  try
+  {
+    const std::vector<ViewLevel> views = makeViews(run, outcome.poses, kMedium);
+    const auto similarityAt = [&](const PosePair& poses)
+    {
+      const std::vector<double> all = similarities(views, bodies_, poses);
+      return std::accumulate(all.begin(), all.end(), 0.0) / static_cast<double>(all.size());
+    };
+    PosePair as_requested = outcome.poses;
+    as_requested.rest = outcome.poses.target * run.request.target_from_rest;
+    std::vector<std::pair<double, PosePair>> tries;
+    for (int n = 0; n < 13; ++n)
+    {
+      Eigen::VectorXd twists = Eigen::VectorXd::Zero(12);
+      if (n < 12)
+      {
+        twists[6 + n / 2] = (n % 2 == 0 ? 1.0 : -1.0) * (n / 2 < 3 ? kRestTurned : kRestShifted);
+      }
+      const PosePair there = moved(as_requested, twists, bodies_.centre, Moving::BOTH);
+      if (!run.control.mayRender(outcome.poses.target, outcome.similarity))
+      {
+        return;
+      }
+      tries.emplace_back(similarityAt(there), there);
+    }
+    std::sort(tries.begin(), tries.end(), [](const auto& a, const auto& b) { return a.first > b.first; });
+    tries.resize(kRestTries);
+    double most = similarityAt(outcome.poses);
+    const PosePair* best = nullptr;
+    for (auto& [similarity, poses] : tries)
+    {
+      similarity = gaussNewton(views, bodies_, moving_, priorOf(run), kApart, linearise(views, bodies_, poses, moving_),
+                               run.control, poses)
+                       .meanSimilarity();
+      if (similarity > most)
+      {
+        most = similarity;
+        best = &poses;
+      }
+    }
+    if (best != nullptr)
+    {
+      Outcome better = descend(run, *best, fineLevel(run, *best));
+      if (better.similarity > outcome.similarity)
+      {
+        outcome = std::move(better);
+        outcome.rest_sought = true;
+      }
+    }
+  }
+  catch (const std::invalid_argument&)
+  {
+    // There is nothing to compare: it stays where it is.
   }
 }
 

@@ -33,13 +33,12 @@ struct Outcome
   Eigen::Matrix<double, 6, 6> covariance = Eigen::Matrix<double, 6, 6>::Zero();
   BeliefFigures figures;
   double probability = 0.0;  ///< as RegistrationResult's
+  bool rest_sought = false;  ///< whether Descender::seekRest has been tried
   std::string doubt;         ///< why it is not to be believed; empty if it is
 };
 
 /// Doubts an outcome for a reason that its probability does not know of: then it is as likely wrong as right, at best.
 void doubtFor(std::string reason, Outcome& outcome);
-/// Doubts an outcome that a rival is as good as. @param what the rival is, for the reason
-void doubtIfRivalled(const Rival& rival, const char* what, Outcome& outcome);
 
 /// The finest level from a pose, and what it says there.
 struct FineLevel
@@ -72,6 +71,9 @@ public:
   Outcome descend(const Run& run, const PosePair& start, Path path) const;
   /// From the finest level at the start on, and then judged.
   Outcome descend(const Run& run, const PosePair& start, FineLevel fine) const;
+
+  /// Tries other postures of the rest, as descents get stuck in them: once, and takes what is more alike.
+  void seekRest(const Run& run, Outcome& outcome) const;
 
   /// @throws std::invalid_argument as makeViews
   FineLevel fineLevel(const Run& run, const PosePair& poses) const;

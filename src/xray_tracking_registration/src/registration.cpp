@@ -10,6 +10,7 @@
 #include "descender.h"
 #include "look_alikes.h"
 #include "message.h"
+#include "rivalry.h"
 #include "run_control.h"
 #include "wide_search.h"
 
@@ -25,10 +26,8 @@ constexpr double kSure = 0.72;
 /// [mm].
 constexpr double kNeighbour = 18.0;
 constexpr double kTurned = 3.0 * M_PI / 180.0;  // from the start: worth a try from its orientation
-constexpr double kMuchFarther = 15.0;  // from the start than what was found: the start itself speaks against it [mm]
-constexpr double kDescends = 5.0;      // nearer to the start: what begins farther off than this is not tried [mm]
-constexpr double kElsewhere = 0.8;     // from what was found: another place [mm]
-constexpr double kMoreAlike = 1.05;    // times the similarity: clearly more alike
+/// Another place with this share of the similarity may be the right one with the rest in another posture.
+constexpr double kMayBe = 0.75;
 
 // What is searched around a start whose descents fail.
 constexpr double kRetryTranslation = 20.0;  // [mm]
@@ -175,7 +174,7 @@ private:
                        " rad from the start"),
                best);
     }
-    result.rivals = rivalsOf(best, std::move(result.rivals));
+    result.rivals = weighRivals(run, box_, std::move(result.rivals), options_.min_probability, best);
     result.room_from_patient = best.poses.target;
     if (!bodies_->one)
     {
@@ -203,20 +202,28 @@ private:
     }
   }
 
-  /// The other places as the answer has them, most similar first: it may have become another one since they were found.
-  std::vector<Rival> rivalsOf(const Outcome& answer, std::vector<Rival> others) const
+  /// The less probable one of both places becomes a rival.
+  void contend(const Run& run, Outcome other, Outcome& best, std::vector<Rival>& rivals) const
   {
-    for (Rival& other : others)
+    if (other.views.empty())
     {
-      other.distance_mm = targetRegistrationError(other.room_from_patient, answer.poses.target, box_);
-      other.rotation_rad = rotationAngle(answer.poses.target.inverse() * other.room_from_patient);
+      return;
     }
-    others.erase(
-        std::remove_if(others.begin(), others.end(), [](const Rival& other) { return other.distance_mm < kElsewhere; }),
-        others.end());
-    std::stable_sort(others.begin(), others.end(),
-                     [](const Rival& a, const Rival& b) { return a.similarity > b.similarity; });
-    return others;
+    const bool elsewhere = targetRegistrationError(other.poses.target, best.poses.target, box_) > kElsewhere;
+    const auto may_be = [](const Outcome& a, const Outcome& b) { return a.similarity > kMayBe * b.similarity; };
+    if (elsewhere && may_be(best, other) && may_be(other, best))
+    {
+      descender_->seekRest(run, best);
+      descender_->seekRest(run, other);
+    }
+    if (best.views.empty() || oddsOver(run, other, rivalFrom(best)) > 0.0)
+    {
+      std::swap(best, other);
+    }
+    if (!other.views.empty())
+    {
+      rivals.push_back(rivalFrom(other));
+    }
   }
 
   /// Whether what was found is like no other vertebra.
@@ -252,11 +259,7 @@ private:
         {
           continue;
         }
-        Outcome outcome = descender_->descend(run, start, path);
-        if (outcome.similarity > best.similarity)
-        {
-          best = std::move(outcome);
-        }
+        contend(run, descender_->descend(run, start, path), best, result.rivals);
       }
     }
     if (failed())
@@ -264,11 +267,8 @@ private:
       Found found = searchAround(run, *bodies_, *descender_, box_, start,
                                  { std::min(run.request.max_translation_mm, kRetryTranslation),
                                    std::min(run.request.max_rotation_rad, kRetryRotation) });
-      if (found.answer.similarity > best.similarity)
-      {
-        best = std::move(found.answer);
-        result.rivals = std::move(found.rivals);
-      }
+      result.rivals.insert(result.rivals.end(), found.rivals.begin(), found.rivals.end());
+      contend(run, std::move(found.answer), best, result.rivals);
     }
     if (!best.doubt.empty())
     {
@@ -299,8 +299,7 @@ private:
   }
 
   /// Puts what was found to the test where its views are not alike beyond doubt: whether the same place from the
-  /// start's orientation, or the next vertebra to either side, is as much alike, and not so much farther from the start
-  /// that the start itself speaks against it. It is taken instead if it is clearly more alike and nearer to the start.
+  /// start's orientation, or the next vertebra to either side, is more probable.
   void compareWithNeighbours(const Run& run, Outcome& best, std::vector<Rival>& rivals) const
   {
     const RigidTransform& start = run.request.room_from_patient;
@@ -325,27 +324,12 @@ private:
       {
         there.rest = bodies_->one ? there.target : there.target * run.request.target_from_rest;
       }
-      const double farthest = run.control.distance(best.poses.target) + kMuchFarther;
-      if (!run.control.inBounds(there.target) || (side.isZero() && rotationAngle(start.inverse() * found) < kTurned) ||
-          run.control.distance(there.target) > farthest + kDescends)
+      if (!run.control.inBounds(there.target) || (side.isZero() && rotationAngle(start.inverse() * found) < kTurned))
       {
         continue;
       }
-      Outcome other = descender_->descend(
-          run, there, side.isZero() && descender_->moving() == Moving::BOTH ? Path::MEDIUM : Path::COARSE);
-      const double apart = targetRegistrationError(other.poses.target, best.poses.target, box_);
-      const double distance = run.control.distance(other.poses.target);
-      if (other.views.empty() || apart < kElsewhere || distance > farthest)
-      {
-        continue;
-      }
-      if (distance < run.control.distance(best.poses.target) && other.similarity > kMoreAlike * best.similarity)
-      {
-        std::swap(best, other);
-      }
-      const double angle = rotationAngle(best.poses.target.inverse() * other.poses.target);
-      rivals.push_back({ other.poses.target, apart, angle, other.similarity });
-      doubtIfRivalled(rivals.back(), side.isZero() ? "a place" : "a place that looks like the target in the CT,", best);
+      const bool medium = side.isZero() && descender_->moving() == Moving::BOTH;
+      contend(run, descender_->descend(run, there, medium ? Path::MEDIUM : Path::COARSE), best, rivals);
     }
   }
 

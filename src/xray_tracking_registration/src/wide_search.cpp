@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "message.h"
+#include "rivalry.h"
 #include "xray_tracking_core/evaluation/evaluation.h"
 
 namespace xray_tracking
@@ -83,13 +83,8 @@ Found searchAround(const Run& run, const Bodies& bodies, const Descender& descen
                                  });
     if (!own)
     {
-      found.rivals.push_back({ end.poses.target, apart(end.poses, found.answer.poses),
-                               rotationAngle(found.answer.poses.target.inverse() * end.poses.target), end.similarity });
+      found.rivals.push_back(rivalFrom(end));
     }
-  }
-  if (!found.rivals.empty())
-  {
-    doubtIfRivalled(found.rivals.front(), "a place", found.answer);
   }
   return found;
 }

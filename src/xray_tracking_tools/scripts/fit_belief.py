@@ -19,7 +19,6 @@ PLACE_MM = 3.0  # what is off by less is at the right place; kAside of descender
 KEPT_ERROR_MM = 0.6  # how well the place is kept is learnt from what is expected to be off by less
 LEAST_SIMILARITY = 0.05  # and is like the images at all
 SHOWN = 0.1  # similarity below which a view does not show what the others do; kShown of descender.cpp
-AS_GOOD = 0.92  # share of a result's similarity from which on a rival is as good; kAsGood of descender.cpp
 
 
 def stretched(similarity):
@@ -138,15 +137,15 @@ def fit(rows, ridge):
     return numpy.concatenate([[theta[0] - slopes @ mean], slopes]), aside / [1.0, scale]
 
 
-def refused(rows):
-    """Whatever the figures say: another place is as much alike, or a view shows something else (descender.cpp)."""
-    return numpy.array([row['rival_share'] > AS_GOOD or row['least_similarity'] < SHOWN for row in rows])
+def refused(rows, threshold):
+    """Whatever the figures say: it is not so probable against a rival (rivalry.cpp), or a view shows something else."""
+    return numpy.array([logistic(row['rival_odds']) < threshold or row['least_similarity'] < SHOWN for row in rows])
 
 
 def judge(name, rows, p, threshold):
     tre = errors(rows)
     right, wrong = tre < RIGHT_TRE_MM, tre > BELIEVED_TRE_MM
-    believed = (p >= threshold) & ~refused(rows)
+    believed = (p >= threshold) & ~refused(rows, threshold)
     print('%-28s %5d %7d %8.1f %7d %8d   %.3f' %
           (name, len(rows), right.sum(), 100.0 * believed[right].mean() if right.any() else float('nan'), wrong.sum(),
            believed[wrong].sum(), numpy.mean((p - (tre < BELIEVED_TRE_MM)) ** 2)))

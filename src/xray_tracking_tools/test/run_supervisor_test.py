@@ -88,7 +88,7 @@ class RunSupervisorTest(unittest.TestCase):
         graph.expose(4)
         status, output = self.end_of(process)
         self.assertEqual(status, 0, output)
-        self.assertIn("exposure 1 / 5: OK, displacement 5.00 mm", output)
+        self.assertIn("exposure 1 / 5: OK, tracked, displacement 5.00 mm", output)
         self.assertIn("exposure 5 / 5: OK", output)
         self.assertIn("all 5 exposures were answered", output)
 
@@ -159,7 +159,6 @@ class RunSupervisorTest(unittest.TestCase):
     def test_bad_parameters(self):
         cases = [({}, "~exposures is 0"), ({"exposures": -3}, "~exposures is -3"),
                  ({"exposures": 3, "start_mode": "both"}, "~start_mode is 'both'"),
-                 ({"exposures": 3, "method": "guessing"}, "~method is 'guessing'"),
                  ({"exposures": 3, "stall_timeout": 0.0}, "~stall_timeout is 0"),
                  ({"exposures": 3, "detectors": []}, "~detectors is empty"),
                  # Of the wrong type; a text that reads like a number is none.

@@ -24,6 +24,8 @@ enum class TrackingMethod
 /// The parameters of the node (README.md).
 struct TrackerParameters
 {
+  TrackerParameters() { tracker.model = MotionModel::EUCLIDEAN; }  // of model `auto`
+
   TrackingMethod method = TrackingMethod::HYPERPLANE;
   bool model_by_data = true;                 ///< model `auto`: EUCLIDEAN where it tells a rotation, else TRANSLATION
   HyperplaneTrackerOptions tracker;          ///< lengths, and reduction, as of scaleTo()

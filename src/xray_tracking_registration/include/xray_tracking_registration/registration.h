@@ -150,6 +150,9 @@ struct Rival
   double distance_mm = 0.0;   ///< from the answer, root mean square over the target's box
   double rotation_rad = 0.0;  ///< from the answer
   double similarity = 0.0;    ///< as RegistrationResult::similarity_after
+  /// Logarithm of the odds that the answer is the right place and not this one, by similarity and by nearness to the
+  /// start.
+  double odds = 0.0;
 };
 
 struct RegistrationResult

@@ -15,6 +15,8 @@ namespace xray_tracking
 {
 namespace
 {
+constexpr double kNoRival = 100.0;  // the logarithm of such odds leaves no doubt
+
 double cpuMilliseconds()
 {
   rusage usage;
@@ -90,7 +92,7 @@ std::vector<Trial> registerAll(const Subject& subject, const Registration& regis
 void writeTrials(const std::vector<Trial>& trials, const std::string& path)
 {
   std::ofstream file(path);
-  file << "subject,kind,views,start_mm,start_deg,tre_mm,angle_deg,status,cpu_ms,probability,rival_share,"
+  file << "subject,kind,views,start_mm,start_deg,tre_mm,angle_deg,status,cpu_ms,probability,rival_odds,"
           "expected_error_mm,least_similarity,least_coarse_similarity,pull_mm,here,rival,distinctness,loss_aside\n";
   for (const Trial& trial : trials)
   {
@@ -98,10 +100,14 @@ void writeTrials(const std::vector<Trial>& trials, const std::string& path)
     std::replace(subject.begin(), subject.end(), ',', ';');
     const RegistrationResult& result = trial.result;
     const BeliefFigures& figures = result.figures;
-    const double rival_share = result.rivals.empty() ? 0.0 : result.rivals.front().similarity / result.similarity_after;
+    double rival_odds = kNoRival;
+    for (const Rival& rival : result.rivals)
+    {
+      rival_odds = std::min(rival_odds, rival.odds);
+    }
     file << subject << ',' << trial.kind << ',' << result.views.size() << ',' << trial.start_error << ','
          << trial.start_angle / kDegree << ',' << trial.error << ',' << trial.angle / kDegree << ','
-         << static_cast<int>(result.status) << ',' << trial.cpu_ms << ',' << result.probability << ',' << rival_share
+         << static_cast<int>(result.status) << ',' << trial.cpu_ms << ',' << result.probability << ',' << rival_odds
          << ',' << figures.expected_error_mm << ',' << figures.least_similarity << ','
          << figures.least_coarse_similarity << ',' << figures.pull_mm << ',' << figures.here << ',' << figures.rival
          << ',' << figures.distinctness << ',' << figures.loss_aside << '\n';
