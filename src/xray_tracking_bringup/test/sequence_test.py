@@ -1,5 +1,6 @@
 #!/usr/bin/python3
 """Real anatomy by rosbag playback: each exposure is registered from its tracked pose, and what is published is judged."""
+import csv
 import os
 import subprocess
 import sys
@@ -9,10 +10,11 @@ import numpy as np
 import rospy
 import rostest
 import yaml
+from geometry_msgs.msg import Point, Quaternion
 from std_srvs.srv import SetBool
 
 sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
-from graph_test_case import DETECTORS, GraphTestCase, target_registration_error_mm  # noqa: E402
+from graph_test_case import DETECTORS, GraphTestCase, matrix, target_registration_error_mm  # noqa: E402
 from xray_tracking_msgs.msg import BeamGate, PatientMotion  # noqa: E402
 
 # By the sequence's name: TRE of the published poses, median and 95 % in mm, as they are specified; 0.054 / 0.079 and
@@ -42,9 +44,26 @@ class SequenceTest(GraphTestCase):
                         received.clear()
                 self.play(bag, exposures)
                 self.judge(box, exposures, LIMITS[os.path.basename(sequence)])
+            self.compare_with_offline(sequence, folder)
         self.assertTrue(self.gates)
         self.assertEqual([gate.text for gate in self.gates if gate.reason == BeamGate.BAD_STAMP], [],
                          "a played bag's stamps fit its clock")
+
+    def compare_with_offline(self, sequence, folder):
+        """The same rules without ROS give the same poses, to what a message's numbers are rounded by."""
+        # An exit status of 1 would say that an exposure has no pose.
+        subprocess.run(["rosrun", "xray_tracking_tools", "evaluate_sequence", "--sequence", sequence,
+                        "--methods", "tracking_and_registration", "--out", folder], check=True)
+        with open(os.path.join(folder, "poses.csv"), encoding="utf-8") as file:
+            rows = [row for row in csv.DictReader(file) if row["method"] == "tracking_and_registration"]
+        self.assertEqual(len(rows), len(self.poses))
+        for row, stamp in zip(rows, sorted(self.poses)):
+            position = [float(row[key]) for key in ("tx_mm", "ty_mm", "tz_mm")]
+            offline = matrix(Point(*(value / 1000.0 for value in position)),
+                             Quaternion(*(float(row[key]) for key in ("qx", "qy", "qz", "qw"))))
+            # In mm, and in rad over the lever of the patient frame's origin.
+            np.testing.assert_allclose(1000.0 * self.poses[stamp][:3, 3], 1000.0 * offline[:3, 3], rtol=0, atol=1e-6)
+            np.testing.assert_allclose(self.poses[stamp][:3, :3], offline[:3, :3], rtol=0, atol=1e-8)
 
     def play(self, bag, exposures):
         player = subprocess.Popen(["rosbag", "play", "--clock", "--quiet", "--pause", bag, "__name:=player"])

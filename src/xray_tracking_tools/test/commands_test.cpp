@@ -1,5 +1,3 @@
-#include <sys/wait.h>
-
 #include <cmath>
 #include <cstdio>
 #include <functional>
@@ -19,24 +17,9 @@ namespace xray_tracking
 {
 namespace
 {
-struct CommandResult
-{
-  int status = -1;
-  std::string output;  ///< stdout and stderr
-};
-
 CommandResult run(const std::string& command)
 {
-  CommandResult result;
-  FILE* pipe = popen((std::string(COMMAND_DIR) + "/" + command + " 2>&1").c_str(), "r");
-  char buffer[256];
-  while (std::fgets(buffer, sizeof(buffer), pipe) != nullptr)
-  {
-    result.output += buffer;
-  }
-  const int status = pclose(pipe);
-  result.status = WIFEXITED(status) ? WEXITSTATUS(status) : -1;
-  return result;
+  return runShell(std::string(COMMAND_DIR) + "/" + command);
 }
 
 bool contains(const std::string& text, const std::string& part)

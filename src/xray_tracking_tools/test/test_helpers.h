@@ -1,7 +1,9 @@
 #pragma once
 
+#include <sys/wait.h>
 #include <unistd.h>
 
+#include <cstdio>
 #include <filesystem>
 #include <fstream>
 #include <sstream>
@@ -33,6 +35,27 @@ public:
 private:
   std::filesystem::path path_;
 };
+
+struct CommandResult
+{
+  int status = -1;
+  std::string output;  ///< stdout and stderr
+};
+
+/// Runs a shell command.
+inline CommandResult runShell(const std::string& command)
+{
+  CommandResult result;
+  FILE* pipe = popen((command + " 2>&1").c_str(), "r");
+  char buffer[256];
+  while (std::fgets(buffer, sizeof(buffer), pipe) != nullptr)
+  {
+    result.output += buffer;
+  }
+  const int status = pclose(pipe);
+  result.status = WIFEXITED(status) ? WEXITSTATUS(status) : -1;
+  return result;
+}
 
 constexpr int kColumns = 8;
 constexpr int kRows = 6;
