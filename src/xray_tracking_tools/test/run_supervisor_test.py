@@ -165,7 +165,6 @@ class RunSupervisorTest(unittest.TestCase):
                  ({"exposures": "3"}, "run_supervisor/exposures is 3, expected a whole number"),
                  ({"exposures": 3, "stall_timeout": "long"}, "stall_timeout is long, expected a number"),
                  ({"exposures": 3, "start_mode": 1}, "start_mode is 1, expected a text"),
-                 ({"exposures": 3, "method": True}, "method is 1, expected a text"),
                  ({"exposures": 3, "start_service": 7}, "start_service is 7, expected a text"),
                  ({"exposures": 3, "detectors": "detector_a"}, "detectors is detector_a, expected a list of texts"),
                  ({"exposures": 3, "detectors": ["a", 5]}, "expected a list of texts"),
