@@ -119,7 +119,7 @@ void ExposureEstimator::add(const TrackedExposure& exposure, const RigidTransfor
   last_pose_ = room_from_patient;
 }
 
-void ExposureEstimator::accept(const Refinement& refinement, const TrackedExposure* exposure)
+void ExposureEstimator::accept(const Refinement& refinement, const TrackedExposure& exposure)
 {
   const Matrix6d covariance = covarianceAt(target_centre_, refinement.refined, refinement.covariance);
   estimator_->setReference(refinement.refined, covariance);
@@ -131,11 +131,11 @@ void ExposureEstimator::accept(const Refinement& refinement, const TrackedExposu
   {
     references_.carry(refinement, target_centre_);
   }
-  for (std::size_t i = 0; exposure != nullptr && i < exposure->views.size(); ++i)
+  for (std::size_t i = 0; i < exposure.views.size(); ++i)
   {
-    if (doubtOf(i, *exposure).state == MotionState::OK)
+    if (doubtOf(i, exposure).state == MotionState::OK)
     {
-      references_.anchor(i, *exposure->views[i], trackOf(i, *exposure->views[i]), refinement.refined);
+      references_.anchor(i, *exposure.views[i], trackOf(i, *exposure.views[i]), refinement.refined);
     }
   }
 }

@@ -410,6 +410,26 @@ TEST_F(MonitorTest, ExposuresThatAreOfNoUseAreAnsweredAtOnce)
   expectNone(decision(), MotionState::LOST, "detector_b is silent");
 }
 
+/// With the method registration, where the tracked pose is not published.
+TEST_F(MonitorTest, ALateAnswerIsThePoseThatTheNextOneIsFoundFrom)
+{
+  options.method = PoseMethod::REGISTRATION;
+  start();
+  const auto late = [this](const Eigen::Vector3d& motion, const Eigen::Vector3d& found) -> Eigen::Vector3d
+  {
+    expose(motion);
+    const RefinementRequest asked = request();
+    monitor->onTime(*monitor->wakeAt());
+    expectNone(decision(), MotionState::UNREGISTERED, "no answer");
+    monitor->onReply(believed(asked.id, found), now + 150 * kMillisecond);
+    EXPECT_LT(monitor->gate().rotation(), 1e-6);
+    return asked.room_from_patient * scene.targetCentre() - scene.target;
+  };
+  late({ 0.0, 0.0, 0.0 }, { 0.2, 0.0, 0.0 });
+  EXPECT_LT((late({ 4.0, 0.0, 0.0 }, { 4.3, 0.0, 0.0 }) - Eigen::Vector3d(0.2, 0.0, 0.0)).norm(), kExact);
+  EXPECT_LT((late({ 4.0, 0.0, 0.0 }, { 4.3, 0.0, 0.0 }) - Eigen::Vector3d(4.3, 0.0, 0.0)).norm(), kExact);
+}
+
 /// The same events give the same decisions, to the last bit.
 TEST_F(MonitorTest, IsDeterministic)
 {

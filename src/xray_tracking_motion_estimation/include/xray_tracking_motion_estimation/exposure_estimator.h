@@ -64,9 +64,9 @@ public:
   void add(const TrackedExposure& exposure, const RigidTransform& room_from_patient, bool registered);
 
   /// From here on motion counts from the refined pose, and the tracks of the views in `exposure` from there.
-  /// @param exposure the refined one; null if it is not known any more
+  /// @param exposure the refined one
   /// @throws std::invalid_argument if the pose is of no use, whereupon nothing is changed
-  void accept(const Refinement& refinement, const TrackedExposure* exposure);
+  void accept(const Refinement& refinement, const TrackedExposure& exposure);
 
   /// As at first, but for the geometry.
   void restart();

@@ -7,7 +7,6 @@
 #include <vector>
 
 #include <Eigen/Core>
-#include <boost/circular_buffer.hpp>
 
 #include "xray_tracking_motion_estimation/beam_gate.h"
 #include "xray_tracking_motion_estimation/exposure_estimator.h"
@@ -159,7 +158,7 @@ private:
   RefinementSeed seed() const;
 
   /// @return why it could not be applied; empty if it was
-  std::string apply(const Refinement& refinement, const TrackedExposure* exposure);
+  std::string apply(const Refinement& refinement, const TrackedExposure& exposure);
   void applyLate(const Refinement& refinement);
   /// Of views that have lost the target, or follow something else, while the current exposure is registered.
   void proposeRegions();
@@ -183,8 +182,8 @@ private:
 
   std::deque<TrackedExposure> waiting_;
   std::optional<Current> current_;
-  /// The latest exposures that were decided without their registration, whose answer may still come.
-  boost::circular_buffer<TrackedExposure> decided_;
+  /// The exposure that was decided without its registration, whose answer may still come.
+  std::optional<TrackedExposure> late_;
 
   std::string unconfirmed_;    ///< why no pose is believed before a refinement is accepted; empty if none is needed
   std::string contradiction_;  ///< of registration and tracks, until it is resolved; empty if there is none
