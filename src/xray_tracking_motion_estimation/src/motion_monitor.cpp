@@ -115,6 +115,7 @@ void MotionMonitor::onReply(const RefinementReply& reply, std::int64_t now)
   {
     return;
   }
+  took_ = now - asked_;
   RefinementPolicy::Judgement judgement = refinement_.judge(reply);
   const bool of_current = current_ && current_->asked == reply.id;
   if (judgement.refinement)
@@ -320,6 +321,14 @@ void MotionMonitor::ask(std::int64_t now)
     current_->not_registered = "the registration is still at an earlier exposure";
     return;
   }
+  // Else it would make the next one late, too, and that one the one after it.
+  if (!waiting_.empty() && now + took_ > deadline())
+  {
+    current_->due = false;
+    current_->not_registered = "the registration is behind, and turns to a later exposure";
+    return;
+  }
+  asked_ = now;
   request_ = refinement_.ask(seed(), !gate_.verification().verified(), now);
   if (options_.method == PoseMethod::REGISTRATION && last_pose_)
   {

@@ -430,6 +430,42 @@ TEST_F(MonitorTest, ALateAnswerIsThePoseThatTheNextOneIsFoundFrom)
   EXPECT_LT((late({ 4.0, 0.0, 0.0 }, { 4.3, 0.0, 0.0 }) - Eigen::Vector3d(4.3, 0.0, 0.0)).norm(), kExact);
 }
 
+/// It takes longer than an exposure, but less than the deadline.
+TEST_F(MonitorTest, ASlowRegistrationDoesNotFallBehindForGood)
+{
+  start();
+  const std::int64_t interval = 33 * kMillisecond;
+  std::optional<std::pair<std::int64_t, std::uint64_t>> under_way;  // when it answers, the request
+  int exposures = 0, in_time = 0;
+  for (const std::int64_t begin = now; exposures < 300; now += kMillisecond)
+  {
+    monitor->onTime(now);
+    if (under_way && now >= under_way->first)
+    {
+      monitor->onReply(believed(std::exchange(under_way, std::nullopt)->second, Eigen::Vector3d::Zero()), now);
+    }
+    if ((now - begin) % interval == 0)
+    {
+      ++exposures;
+      stamp += interval - kInterval;
+      now -= kInterval;
+      trained.assign(2, { exposures == 1 ? stamp + kInterval : trained[0].first, Eigen::Vector3d::Zero() });
+      expose({ 0.0, 0.0, 0.0 });
+    }
+    if (const std::optional<RefinementRequest> request = monitor->takeRequest())
+    {
+      under_way.emplace(now + 60 * kMillisecond, request->id);
+    }
+    while (const std::optional<MotionDecision> decision = monitor->takeDecision())
+    {
+      EXPECT_EQ(decision->state, MotionState::OK) << decision->reason;
+      EXPECT_LE(decision->wall_seconds, 0.1 + 1e-9);
+      in_time += decision->source == PoseSource::REGISTERED ? 1 : 0;
+    }
+  }
+  EXPECT_GT(in_time, 140) << "one in two exposures";
+}
+
 /// The same events give the same decisions, to the last bit.
 TEST_F(MonitorTest, IsDeterministic)
 {

@@ -184,6 +184,8 @@ private:
   std::optional<Current> current_;
   /// The exposure that was decided without its registration, whose answer may still come.
   std::optional<TrackedExposure> late_;
+  std::int64_t asked_ = 0;  ///< when the last request went out, monotonic clock [ns]
+  std::int64_t took_ = 0;   ///< the last answer [ns]
 
   std::string unconfirmed_;    ///< why no pose is believed before a refinement is accepted; empty if none is needed
   std::string contradiction_;  ///< of registration and tracks, until it is resolved; empty if there is none
