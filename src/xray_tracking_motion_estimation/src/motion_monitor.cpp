@@ -65,8 +65,7 @@ PoseMethod poseMethodFromName(const std::string& name)
       return method;
     }
   }
-  throw std::invalid_argument("method is '" + name +
-                              "', expected tracking, registration or tracking_and_registration");
+  throw std::invalid_argument("method is '" + name + "', expected tracking, registration or tracking_and_registration");
 }
 
 MotionMonitorOptions::MotionMonitorOptions()
@@ -183,7 +182,7 @@ void MotionMonitor::restart(const std::string& doubt)
   late_.reset();
   astray_.assign(astray_.size(), {});
   contradiction_.clear();
-  first_stamp_.reset();
+  last_seen_.reset();
   unconfirmed_ = doubt;
   if (!doubt.empty())
   {
@@ -259,19 +258,21 @@ void MotionMonitor::begin(std::int64_t now)
     current_->tracks.reason = current_->not_registered = exposure.text;
     return;
   }
-  first_stamp_ = first_stamp_.value_or(exposure.stamp);
+  last_seen_ = last_seen_.value_or(exposure.stamp);
   estimate();
 
   const auto any = [&](const auto& holds)
   {
     const auto view = std::find_if(exposure.views.begin(), exposure.views.end(),
                                    [&](const std::optional<TrackedView>& v) { return v && holds(*v); });
-    return view == exposure.views.end() ? std::string() : options_.tracks.views[static_cast<std::size_t>(view - exposure.views.begin())];
+    return view == exposure.views.end()
+               ? std::string()
+               : options_.tracks.views[static_cast<std::size_t>(view - exposure.views.begin())];
   };
   // What shows nothing, or what an earlier exposure showed, is no evidence of where the patient is.
   const std::string blind = any([](const TrackedView& view) { return view.state == RegionState::BLIND; });
-  const std::string unable = any([](const TrackedView& view)
-                                 { return view.state == RegionState::UNTRAINED && !view.fault.empty(); });
+  const std::string unable =
+      any([](const TrackedView& view) { return view.state == RegionState::UNTRAINED && !view.fault.empty(); });
   if (options_.refinement.mode == RefinementMode::NEVER)
   {
     current_->not_registered = "no registration is asked for";
@@ -305,7 +306,7 @@ RefinementSeed MotionMonitor::seed() const
                        PoseCovariance::Zero(),
                        estimate ? estimate->disagreement_mm : 0.0,
                        tracked,
-                       1e-9 * static_cast<double>(stamp - (last_pose_ ? last_pose_->first : *first_stamp_)) };
+                       1e-9 * static_cast<double>(stamp - *last_seen_) };
   if (tracked)
   {
     seed.room_from_patient = estimate->room_from_patient;
@@ -330,7 +331,7 @@ void MotionMonitor::ask(std::int64_t now)
   }
   asked_ = now;
   request_ = refinement_.ask(seed(), !gate_.verification().verified(), now);
-  if (options_.method == PoseMethod::REGISTRATION && last_pose_)
+  if (options_.method == PoseMethod::REGISTRATION && current_->tracks.state == MotionState::OK && last_pose_)
   {
     request_->room_from_patient = last_pose_->second;
   }
@@ -369,6 +370,7 @@ void MotionMonitor::applyLate(const Refinement& refinement)
   {
     // Nothing was measured so far: the first templates are still those of the initial pose.
     last_pose_ = { refinement.stamp, refinement.refined };
+    last_seen_ = std::max(*last_seen_, refinement.stamp);
     return;
   }
   if (!apply(refinement, *late_).empty())
@@ -380,6 +382,7 @@ void MotionMonitor::applyLate(const Refinement& refinement)
   if (!last_pose_ || last_pose_->first < refinement.stamp)
   {
     last_pose_ = { refinement.stamp, refinement.refined };
+    last_seen_ = std::max(*last_seen_, refinement.stamp);
   }
   else if (refinement.tracked)
   {
@@ -438,6 +441,10 @@ void MotionMonitor::decide(std::int64_t now)
   const TrackedExposure& exposure = current_->exposure;
   MotionDecision decision = decisionOf(now);
   proposeRegions();
+  if (current_->tracks.state == MotionState::OK || decision.state == MotionState::OK)
+  {
+    last_seen_ = exposure.stamp;
+  }
   if (decision.state == MotionState::OK)
   {
     const bool registered = decision.source == PoseSource::REGISTERED;

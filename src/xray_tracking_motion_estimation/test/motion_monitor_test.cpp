@@ -466,6 +466,32 @@ TEST_F(MonitorTest, ASlowRegistrationDoesNotFallBehindForGood)
   EXPECT_GT(in_time, 140) << "one in two exposures";
 }
 
+/// The tracks' own pose is known until they are lost, whether it is believed or not.
+TEST_F(MonitorTest, TracksThatAreLostDuringAContradictionAreNoWayToTheNextVertebra)
+{
+  start();
+  registered({ 0.0, 0.0, 0.0 });
+  for (int i = 0; i < 10; ++i)
+  {
+    expectNone(registered({ 0.0, 0.0, 0.0 }, { 17.0, 0.0, 0.0 }), MotionState::INCONSISTENT, "contradict each other");
+  }
+  expectNone(registered({ 0.0, 0.0, 0.0 }, { 17.0, 0.0, 0.0 }, loseAll), MotionState::LOST, "correction is 17");
+}
+
+TEST_F(MonitorTest, TheSecondRegistrationStartsFromTheFirstWhateverTheMethod)
+{
+  for (const PoseMethod method : { PoseMethod::REGISTRATION, PoseMethod::TRACKING_AND_REGISTRATION })
+  {
+    options.method = method;
+    start();
+    registered({ 0.0, 0.0, 0.0 });
+    expectNone(registered({ 4.0, 0.0, 0.0 }, { 0.0, 0.0, 0.0 }, loseAll), MotionState::LOST, "has to confirm");
+    expose({ 4.0, 0.0, 0.0 }, loseAll);
+    const Eigen::Vector3d seed = request().room_from_patient * scene.targetCentre();
+    EXPECT_LT((seed - scene.target - Eigen::Vector3d(4.0, 0.0, 0.0)).norm(), kExact) << poseMethodName(method);
+  }
+}
+
 /// The same events give the same decisions, to the last bit.
 TEST_F(MonitorTest, IsDeterministic)
 {

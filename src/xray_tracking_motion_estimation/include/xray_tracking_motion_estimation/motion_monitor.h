@@ -37,7 +37,8 @@ struct MotionMonitorOptions
   /// How long an exposure waits, from when it was tracked, for its registered pose [s], 0 to 10.
   double deadline = 0.1;
   ExposureEstimatorOptions tracks;
-  double rigid_sigma = 0.027;  ///< floor of ConsistencyOptions for a rigid target, which `views_differ` follows from, > 0
+  double rigid_sigma =
+      0.027;  ///< floor of ConsistencyOptions for a rigid target, which `views_differ` follows from, > 0
   PosePredictorOptions prediction;
   BeamGateOptions gate;
   RefinementPolicyOptions refinement;
@@ -189,7 +190,9 @@ private:
 
   std::string unconfirmed_;    ///< why no pose is believed before a refinement is accepted; empty if none is needed
   std::string contradiction_;  ///< of registration and tracks, until it is resolved; empty if there is none
-  std::optional<std::int64_t> first_stamp_;  ///< of the first exposure since the start
+  /// The last exposure in which tracks or a registration had a pose, published or not: the target cannot have gone
+  /// anywhere unseen before. At first the first one since the start [ns].
+  std::optional<std::int64_t> last_seen_;
   /// Of a view that does not follow the target.
   struct Astray
   {

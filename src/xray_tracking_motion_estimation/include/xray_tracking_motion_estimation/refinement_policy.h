@@ -66,7 +66,7 @@ struct RefinementSeed
   PoseCovariance covariance;
   double disagreement;  ///< RMS over the views, at the target [mm]
   bool tracked = true;  ///< false: the views contradict each other, or have lost their regions
-  double since = 0.0;   ///< if it is not tracked: time since the last pose that is known [s]
+  double since = 0.0;   ///< if it is not tracked: time since the last pose that tracks or a registration gave [s]
 };
 
 struct RefinementRequest
