@@ -171,8 +171,8 @@ void RefinementPolicy::extendChain(const RefinementReply& reply, std::int64_t st
                                       covarianceAt(target_centre_, chain.refined, chain.covariance);
     const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> axes(covariance.topLeftCorner<3, 3>(), Eigen::EigenvaluesOnly);
     const double gone = options_.target_speed * 1e-9 * static_cast<double>(stamp - chain_->stamp);
-    const double bound = std::min(gone, options_.max_correction) +
-                         kSigmas * std::sqrt(std::max(0.0, axes.eigenvalues()[2])) + kRegistrationSpread;
+    const double bound =
+        std::min(gone + kSigmas * std::sqrt(axes.eigenvalues()[2]), options_.max_correction) + kRegistrationSpread;
     if (way.tail<3>().norm() <= bound && way.head<3>().norm() <= options_.max_correction_rotation)
     {
       chain.length = std::min(chain_->length + 1, kChainWithoutTracks);
@@ -244,8 +244,11 @@ std::string RefinementPolicy::fault(const RefinementReply& reply) const
   {
     return "the refined pose, its covariance or its similarity is not finite";
   }
-  if (!(reply.similarity >= options_.min_similarity) ||
-      !(reply.similarity >= reply.seed_similarity - kSimilarityNoise))
+  if (Eigen::LLT<PoseCovariance>(reply.covariance).info() != Eigen::Success)
+  {
+    return "the refined pose's covariance is not known: expected a positive definite one";
+  }
+  if (!(reply.similarity >= options_.min_similarity) || !(reply.similarity >= reply.seed_similarity - kSimilarityNoise))
   {
     return compose("the similarity is ", reply.similarity, ", expected at least ", options_.min_similarity,
                    " and the seed's ", reply.seed_similarity);

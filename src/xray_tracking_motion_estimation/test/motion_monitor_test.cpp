@@ -492,6 +492,38 @@ TEST_F(MonitorTest, TheSecondRegistrationStartsFromTheFirstWhateverTheMethod)
   }
 }
 
+/// As of a result whose covariance is not known, which comes as zeros: the gate would take it for exact.
+TEST_F(MonitorTest, ACovarianceThatIsNoneIsRefused)
+{
+  start();
+  for (const double variance : { 0.0, -1e-4 })
+  {
+    for (int i = 0; i < 4; ++i)
+    {
+      expose({ 0.0, 0.0, 0.0 });
+      RefinementReply reply = believed(request().id, { 0.0, 0.0, 0.0 });
+      reply.covariance(2, 2) = variance;
+      monitor->onReply(reply, now);
+      expectPose(decision(), PoseSource::TRACKED, { 0.0, 0.0, 0.0 }, 1e-3);
+    }
+  }
+  EXPECT_FALSE(monitor->gate().verification().verified());
+}
+
+TEST_F(MonitorTest, RegistrationsThatKnowLittleConfirmNothing)
+{
+  start();
+  registered({ 0.0, 0.0, 0.0 });
+  for (int i = 0; i < 10; ++i)
+  {
+    expose({ 0.0, 0.0, 0.0 }, loseAll);
+    RefinementReply reply = believed(request().id, { i % 2 == 0 ? 17.0 : 0.0, 0.0, 0.0 });
+    reply.covariance *= 1e6;
+    monitor->onReply(reply, now);
+    expectNone(decision(), MotionState::LOST, "");
+  }
+}
+
 /// The same events give the same decisions, to the last bit.
 TEST_F(MonitorTest, IsDeterministic)
 {
