@@ -127,10 +127,7 @@ void ExposureEstimator::accept(const Refinement& refinement, const TrackedExposu
   reference_covariance_ = covariance;
   consistency_.reset();
   rigid_consistency_.reset();
-  if (refinement.tracked)
-  {
-    references_.carry(refinement, target_centre_);
-  }
+  references_.carry(refinement, target_centre_);
   for (std::size_t i = 0; i < exposure.views.size(); ++i)
   {
     if (doubtOf(i, exposure).state == MotionState::OK)
@@ -187,8 +184,8 @@ ExposureEstimator::Doubt ExposureEstimator::doubtOf(std::size_t view, const Trac
 
 bool ExposureEstimator::enoughViews(ExposureEstimate& estimate) const
 {
-  const auto usable = std::count_if(doubts_.begin(), doubts_.end(),
-                                    [](const Doubt& doubt) { return doubt.state == MotionState::OK; });
+  const auto usable =
+      std::count_if(doubts_.begin(), doubts_.end(), [](const Doubt& doubt) { return doubt.state == MotionState::OK; });
   if (usable >= 2)
   {
     return true;

@@ -1,16 +1,19 @@
 #include "xray_tracking_motion_estimation/view_references.h"
 
+#include <limits>
+
 namespace xray_tracking
 {
 namespace
 {
 /// Templates refer to exposures of the last seconds; the reference in use is kept apart.
 constexpr std::size_t kHistoryCapacity = 1000;
+
+/// Of a reference that is forgotten but for where its region was: older than any.
+constexpr std::int64_t kNoTemplate = std::numeric_limits<std::int64_t>::min();
 }  // namespace
 
-ViewReferences::ViewReferences(std::size_t views) : history_(kHistoryCapacity), references_(views)
-{
-}
+ViewReferences::ViewReferences(std::size_t views) : history_(kHistoryCapacity), references_(views) {}
 
 void ViewReferences::clear()
 {
@@ -48,8 +51,8 @@ bool ViewReferences::find(std::size_t view, const TrackedView& tracked)
   {
     return false;
   }
-  reference = Reference{ tracked.reference_stamp, tracked.region,   pose->room_from_patient, pose->room_from_patient,
-                         std::nullopt,            pose->registered };
+  reference = Reference{ tracked.reference_stamp, tracked.region, pose->room_from_patient,
+                         pose->room_from_patient, std::nullopt,   pose->registered };
   return true;
 }
 
@@ -72,8 +75,7 @@ void ViewReferences::anchor(std::size_t view, const TrackedView& tracked, const 
   {
     // Learnt at a pose that is not known: about where it is now, less what it was tracked by.
     reference = Reference{ tracked.reference_stamp, tracked.region, room_from_patient, {}, {}, true };
-    reference->region +=
-        cv::Point(cvRound(track.displacement.x()), cvRound(track.displacement.y()));
+    reference->region += cv::Point(cvRound(track.displacement.x()), cvRound(track.displacement.y()));
   }
   reference->room_from_patient = room_from_patient;
   reference->anchor = track;
@@ -83,13 +85,29 @@ void ViewReferences::anchor(std::size_t view, const TrackedView& tracked, const 
 void ViewReferences::carry(const Refinement& refinement, const Eigen::Vector3d& target_centre)
 {
   const auto correct = [&](const RigidTransform& pose) { return refinement.carry(pose, target_centre); };
-  history_.correctTracked(correct);
+  if (refinement.tracked)
+  {
+    history_.correctTracked(correct);
+  }
+  else
+  {
+    history_.forgetTracked();
+  }
   for (std::optional<Reference>& reference : references_)
   {
-    if (reference && !reference->registered)
+    if (!reference || reference->registered)
+    {
+      continue;
+    }
+    if (refinement.tracked)
     {
       reference->learnt_at = correct(reference->learnt_at);
       reference->room_from_patient = correct(reference->room_from_patient);
+      reference->registered = true;
+    }
+    else
+    {
+      reference->template_stamp = kNoTemplate;
     }
   }
 }

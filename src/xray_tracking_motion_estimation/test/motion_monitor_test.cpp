@@ -524,6 +524,63 @@ TEST_F(MonitorTest, RegistrationsThatKnowLittleConfirmNothing)
   }
 }
 
+/// Later registrations correct what was tracked since the one before, and no pose from before that.
+TEST_F(MonitorTest, ATrackedPoseIsCorrectedOnce)
+{
+  start();
+  registered({ 0.0, 0.0, 0.0 });
+  expose({ 1.0, 0.0, 0.0 });
+  monitor->onReply(doubted(request().id), now);
+  expectPose(decision(), PoseSource::TRACKED, { 1.0, 0.0, 0.0 }, 1e-3);
+  const std::int64_t learnt = stamp;
+  // Tissue that drifts by 0.5 mm an exposure.
+  for (int i = 1; i <= 4; ++i)
+  {
+    registered({ 1.0, 0.0, 0.0 }, { 0.5 * i, 0.0, 0.0 });
+  }
+  trained.assign(2, { learnt, { 1.0, 0.0, 0.0 } });
+  expose({ 1.0, 0.0, 0.0 });
+  monitor->onReply(doubted(request().id), now);
+  expectPose(decision(), PoseSource::TRACKED, { 1.5, 0.0, 0.0 }, 2e-3);
+}
+
+/// Tracks that count from the initial pose, which nothing has verified, are not verified by a registration without them.
+TEST_F(MonitorTest, TracksThatComeBackAreNotVerifiedByWhatWasFoundWithoutThem)
+{
+  for (const bool late : { false, true })
+  {
+    start();
+    expose({ 0.0, 0.0, 0.0 });
+    monitor->onReply(doubted(request().id), now);
+    decision();
+    for (int i = 0; i < 3; ++i)
+    {
+      expose({ 0.0, 0.0, 0.0 }, loseAll);
+      const RefinementRequest asked = request();
+      if (late)
+      {
+        monitor->onTime(*monitor->wakeAt());
+      }
+      monitor->onReply(believed(asked.id, { 3.0, 0.0, 0.0 }), now + 150 * kMillisecond);
+      decision();
+    }
+    for (int i = 0; i < 10; ++i)
+    {
+      expose({ 0.0, 0.0, 0.0 });
+      monitor->onReply(doubted(request().id), now);
+      expectNone(decision(), MotionState::NO_REFERENCE, "whose pose is not known");
+    }
+    EXPECT_FALSE(monitor->gate().open());
+    expose({ 0.0, 0.0, 0.0 });
+    monitor->onReply(believed(request().id, { 3.0, 0.0, 0.0 }), now);
+    decision();
+    expectPose(registered({ 0.0, 0.0, 0.0 }, { 3.0, 0.0, 0.0 }), PoseSource::REGISTERED, { 3.0, 0.0, 0.0 }, kExact);
+    expose({ 0.5, 0.0, 0.0 });
+    monitor->onReply(doubted(request().id), now);
+    expectPose(decision(), PoseSource::TRACKED, { 3.5, 0.0, 0.0 }, 1e-3);
+  }
+}
+
 /// The same events give the same decisions, to the last bit.
 TEST_F(MonitorTest, IsDeterministic)
 {

@@ -39,14 +39,29 @@ TEST(PoseHistory, ForgetsTheOldest)
   EXPECT_FALSE(history.at(4));
 }
 
-TEST(PoseHistory, CorrectsWhatWasTrackedAlone)
+TEST(PoseHistory, CorrectsWhatWasTrackedAloneOnce)
 {
   PoseHistory history(3);
   history.add({ 1, shifted(1.0), true });
   history.add({ 2, shifted(2.0), false });
-  history.correctTracked([](const RigidTransform& pose) { return shifted(pose.translation().x() + 0.5); });
-  EXPECT_EQ(history.at(1)->room_from_patient.translation().x(), 1.0);
-  EXPECT_EQ(history.at(2)->room_from_patient.translation().x(), 2.5);
+  for (int i = 0; i < 2; ++i)
+  {
+    history.correctTracked([](const RigidTransform& pose) { return shifted(pose.translation().x() + 0.5); });
+    EXPECT_EQ(history.at(1)->room_from_patient.translation().x(), 1.0);
+    EXPECT_EQ(history.at(2)->room_from_patient.translation().x(), 2.5);
+  }
+}
+
+TEST(PoseHistory, ForgetsWhatWasTrackedAlone)
+{
+  PoseHistory history(3);
+  history.add({ 1, shifted(1.0), true });
+  history.add({ 2, shifted(2.0), false });
+  history.add({ 3, shifted(3.0), true });
+  history.forgetTracked();
+  EXPECT_TRUE(history.at(1));
+  EXPECT_FALSE(history.at(2));
+  EXPECT_TRUE(history.at(3));
 }
 }  // namespace
 }  // namespace xray_tracking

@@ -24,7 +24,7 @@ public:
   {
     std::int64_t stamp;  ///< exposure time [ns]
     RigidTransform room_from_patient;
-    bool registered;  ///< otherwise tracked, from the last registered one on
+    bool registered;  ///< or corrected by a registration; otherwise tracked, from the last registered one on
   };
 
   void add(const Entry& entry) { poses_.push_back(entry); }
@@ -38,7 +38,8 @@ public:
     return entry == poses_.rend() ? std::nullopt : std::make_optional(*entry);
   }
 
-  /// Replaces every tracked pose by what `correct(pose)` makes of it.
+  /// Replaces every tracked pose by what `correct(pose)` makes of it, once: what is found later is of what was tracked
+  /// later.
   template <typename Function>
   void correctTracked(const Function& correct)
   {
@@ -47,8 +48,15 @@ public:
       if (!entry.registered)
       {
         entry.room_from_patient = correct(entry.room_from_patient);
+        entry.registered = true;
       }
     }
+  }
+
+  void forgetTracked()
+  {
+    poses_.erase(std::remove_if(poses_.begin(), poses_.end(), [](const Entry& entry) { return !entry.registered; }),
+                 poses_.end());
   }
 
 private:

@@ -37,9 +37,11 @@ public:
 
   /// From here on the view's track counts from this exposure, at this pose: what it was wrong by until then is out of
   /// it. Nothing happens if the view has got a newer template meanwhile.
-  void anchor(std::size_t view, const TrackedView& tracked, const Track& track, const RigidTransform& room_from_patient);
+  void anchor(std::size_t view, const TrackedView& tracked, const Track& track,
+              const RigidTransform& room_from_patient);
 
-  /// Moves all poses that were tracked, not registered, as a refinement does.
+  /// Moves all poses that were tracked, not registered, as a refinement does, once. If it was found without tracks,
+  /// nothing connects them with it: they are not known any more.
   void carry(const Refinement& refinement, const Eigen::Vector3d& target_centre);
 
   /// Where the template's region would be seen with the patient elsewhere: moved as the target's centre is.
@@ -55,7 +57,7 @@ private:
     RigidTransform learnt_at;          ///< the pose at which it was learnt
     RigidTransform room_from_patient;  ///< what tracks count from: `learnt_at`, or the anchor's
     std::optional<Track> anchor;       ///< how the template was tracked there
-    bool registered;                   ///< both poses are known from registrations
+    bool registered;                   ///< both poses are known from registrations, or were corrected by one
   };
 
   PoseHistory history_;
