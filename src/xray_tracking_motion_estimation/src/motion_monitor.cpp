@@ -78,6 +78,8 @@ void MotionMonitorOptions::derive()
   requireOption(rigid_sigma > 0.0 && std::isfinite(rigid_sigma), "consistency/rigid_sigma", rigid_sigma,
                 "a number > 0 mm");
   requireOption(deadline >= 0.0 && deadline <= 10.0, "pose/deadline", deadline, "0 to 10 s");
+  requireOption(method != PoseMethod::REGISTRATION || deadline > 0.0, "pose/deadline", deadline,
+                "a number > 0 s where method is registration: no answer comes at once");
   requireOption(method == PoseMethod::TRACKING || refinement.mode != RefinementMode::NEVER, "refinement/mode",
                 "'never'", std::string("another one where method is ") + poseMethodName(method));
   tracks.consistency.floor_sigma = tracks.estimation.floor_sigma;
@@ -416,8 +418,13 @@ void MotionMonitor::proposeRegions()
     if (region && astray.exposures >= kAstrayExposures &&
         (!astray.proposed || exposure.stamp - *astray.proposed >= kProposals))
     {
-      astray.proposed = exposure.stamp;
-      proposals_.push_back({ i, *region });
+      const Eigen::Vector2i& size = tracks_.geometries()[i].imageSize();
+      const cv::Rect inside = *region & cv::Rect(0, 0, size.x(), size.y());
+      if (2 * inside.area() > region->area())
+      {
+        astray.proposed = exposure.stamp;
+        proposals_.push_back({ i, inside });
+      }
     }
   }
 }

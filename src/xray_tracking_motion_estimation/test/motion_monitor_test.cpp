@@ -26,7 +26,7 @@ protected:
     options.method = PoseMethod::TRACKING_AND_REGISTRATION;
     options.tracks.views = { "detector_a", "detector_b" };
     options.refinement.mode = RefinementMode::EVERY_FRAME;
-    options.gate.max_displacement = 100.0;
+    options.gate.max_displacement = 200.0;
   }
 
   void start()
@@ -581,6 +581,37 @@ TEST_F(MonitorTest, TracksThatComeBackAreNotVerifiedByWhatWasFoundWithoutThem)
   }
 }
 
+TEST_F(MonitorTest, ARegionThatIsMostlyOutsideTheImageIsNotLearnt)
+{
+  start();
+  registered({ 0.0, 0.0, 0.0 });
+  // The field ends 70 mm from the isocentre; a region is 28 mm wide.
+  Eigen::Vector3d there = Eigen::Vector3d::Zero();
+  for (; there.x() < 60.0; there.x() += 2.0)
+  {
+    registered(there);
+  }
+  for (int i = 0; i < 8; ++i)
+  {
+    registered(there, Eigen::Vector3d::Zero(), loseFirst);
+    while (const std::optional<RegionProposal> proposal = monitor->takeProposal())
+    {
+      EXPECT_EQ(proposal->region & cv::Rect(0, 0, 512, 512), proposal->region);
+      EXPECT_GT(2 * proposal->region.area(), 101 * 101);
+      EXPECT_LT(proposal->region.area(), 101 * 101);
+    }
+  }
+  for (; there.x() < 72.0; there.x() += 2.0)
+  {
+    registered(there);
+  }
+  for (int i = 0; i < 8; ++i)
+  {
+    registered(there, Eigen::Vector3d::Zero(), loseFirst);
+    EXPECT_FALSE(monitor->takeProposal());
+  }
+}
+
 /// The same events give the same decisions, to the last bit.
 TEST_F(MonitorTest, IsDeterministic)
 {
@@ -610,6 +641,10 @@ TEST_F(MonitorTest, OptionsAreChecked)
 {
   options.deadline = -0.1;
   EXPECT_THROW(start(), std::invalid_argument);
+  options.deadline = 0.0;
+  EXPECT_NO_THROW(start());
+  options.method = PoseMethod::REGISTRATION;
+  EXPECT_THROW(start(), std::invalid_argument) << "no answer comes at once, so that no pose would ever";
   options.deadline = 0.1;
   options.refinement.mode = RefinementMode::NEVER;
   EXPECT_THROW(start(), std::invalid_argument);

@@ -87,7 +87,7 @@ struct MotionDecision
 struct RegionProposal
 {
   std::size_t view;
-  cv::Rect region;  ///< where the target is seen now [px]; may reach beyond the image
+  cv::Rect region;  ///< where the target is seen now, as far as it is in the image [px]
 };
 
 /// What is known of the patient's pose, without ROS and without a clock of its own: exposures, answers of the

@@ -104,9 +104,7 @@ MotionDecision OfflineRun::add(std::int64_t stamp_ns, const std::vector<cv::Mat>
   }
   while (const std::optional<RegionProposal> proposal = monitor_.takeProposal())
   {
-    const Eigen::Vector2i& size = setup_.detectors[proposal->view].imageSize();
-    const cv::Rect inside = proposal->region & cv::Rect(0, 0, size.x(), size.y());
-    views_[proposal->view].training = Training{ Training::Kind::REGION, inside };
+    views_[proposal->view].training = Training{ Training::Kind::REGION, proposal->region };
   }
   return *decision;
 }
