@@ -1,5 +1,6 @@
 #pragma once
 
+#include <chrono>
 #include <condition_variable>
 #include <cstdint>
 #include <functional>
@@ -29,27 +30,40 @@ public:
   {
   }
 
-  ~ServiceCaller()
-  {
-    {
-      const std::lock_guard<std::mutex> lock(mutex_);
-      stop_ = true;
-      client_.shutdown();
-    }
-    wake_.notify_all();
-    thread_.join();
-    queue()->removeByID(id());
-  }
+  ~ServiceCaller() { shutdown(); }
 
   ServiceCaller(const ServiceCaller&) = delete;
   ServiceCaller& operator=(const ServiceCaller&) = delete;
+
+  /// Breaks off and waits for what is under way, an answer that another thread is being given included; no calls and no
+  /// answers from here on. Whose members the answer uses calls it before any of them goes, this one among them.
+  void shutdown()
+  {
+    if (!thread_.joinable())
+    {
+      return;
+    }
+    {
+      std::unique_lock<std::mutex> lock(mutex_);
+      stop_ = true;
+      wake_.notify_all();
+      while (!ended_)
+      {
+        // Again and again: a call that begins just now opens the connection anew.
+        client_.shutdown();
+        wake_.wait_for(lock, std::chrono::milliseconds(10));
+      }
+    }
+    thread_.join();
+    queue()->removeByID(id());
+  }
 
   /// @return false if an earlier call is still under way
   bool call(typename Service::Request request)
   {
     {
       const std::lock_guard<std::mutex> lock(mutex_);
-      if (busy_)
+      if (busy_ || stop_)
       {
         return false;
       }
@@ -61,18 +75,12 @@ public:
     return true;
   }
 
-  /// Whether a call is under way, or its answer on the way.
-  bool busy() const
-  {
-    const std::lock_guard<std::mutex> lock(mutex_);
-    return busy_;
-  }
-
-  /// Breaks off the call under way, if there is one: its answer is none.
+  /// Breaks off the call under way, if there is one: its answer is none. To be repeated: a call that begins just then
+  /// opens the connection anew.
   void cancel()
   {
     const std::lock_guard<std::mutex> lock(mutex_);
-    if (busy_ && !cancelled_)
+    if (busy_)
     {
       cancelled_ = true;
       client_.shutdown();
@@ -116,12 +124,14 @@ private:
       const std::string why = attempt(message, lock);
       if (stop_)
       {
-        return;
+        break;
       }
-      queue()->addCallback(boost::make_shared<Callback>([this, why, response = std::move(message.response)]
-                                                        { deliver(response, why); }),
-                           id());
+      queue()->addCallback(
+          boost::make_shared<Callback>([this, why, response = std::move(message.response)] { deliver(response, why); }),
+          id());
     }
+    ended_ = true;
+    wake_.notify_all();
   }
 
   void deliver(const typename Service::Response& response, const std::string& why)
@@ -176,13 +186,14 @@ private:
   ros::NodeHandle nh_;
   std::string name_;
   Answer answered_;
-  mutable std::mutex mutex_;  ///< of all below
+  std::mutex mutex_;  ///< of all below
   std::condition_variable wake_;
   std::optional<typename Service::Request> request_;
   ros::ServiceClient client_;
   bool busy_ = false;
   bool cancelled_ = false;
   bool stop_ = false;
+  bool ended_ = false;
   std::thread thread_;  ///< last: it uses all the others
 };
 }  // namespace xray_tracking

@@ -118,19 +118,29 @@ MotionEstimationRos::MotionEstimationRos(const ros::NodeHandle& nh, const ros::N
 
 MotionEstimationRos::~MotionEstimationRos()
 {
-  // A nodelet's callbacks may be running in another thread: this waits for them, before any member goes.
+  // A nodelet's callbacks may be running in another thread: this waits for them, before any member goes. What any of
+  // them may start comes last.
+  if (registration_)
+  {
+    registration_->shutdown();
+  }
   report_timer_.stop();
   watchdog_.stop();
-  deadline_timer_.stop();
   refine_server_.shutdown();
   restart_server_.shutdown();
   for (View& view : views_)
   {
     view.camera_info_subscriber.shutdown();
     view.tracked_region_subscriber.shutdown();
-    view.trainer.reset();
   }
-  registration_.reset();
+  for (View& view : views_)
+  {
+    if (view.trainer)
+    {
+      view.trainer->shutdown();
+    }
+  }
+  deadline_timer_.stop();
 }
 
 void MotionEstimationRos::start()
