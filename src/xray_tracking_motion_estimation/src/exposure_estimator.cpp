@@ -187,8 +187,8 @@ ExposureEstimator::Doubt ExposureEstimator::doubtOf(std::size_t view, const Trac
 
 bool ExposureEstimator::enoughViews(ExposureEstimate& estimate) const
 {
-  const auto usable = std::count_if(doubts_.begin(), doubts_.end(),
-                                    [](const Doubt& doubt) { return doubt.state == MotionState::OK; });
+  const auto usable =
+      std::count_if(doubts_.begin(), doubts_.end(), [](const Doubt& doubt) { return doubt.state == MotionState::OK; });
   if (usable >= 2)
   {
     return true;

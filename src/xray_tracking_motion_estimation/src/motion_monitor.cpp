@@ -68,8 +68,7 @@ PoseMethod poseMethodFromName(const std::string& name)
       return method;
     }
   }
-  throw std::invalid_argument("method is '" + name +
-                              "', expected tracking, registration or tracking_and_registration");
+  throw std::invalid_argument("method is '" + name + "', expected tracking, registration or tracking_and_registration");
 }
 
 MotionMonitorOptions::MotionMonitorOptions()
@@ -269,12 +268,14 @@ void MotionMonitor::begin(std::int64_t now)
   {
     const auto view = std::find_if(exposure.views.begin(), exposure.views.end(),
                                    [&](const std::optional<TrackedView>& v) { return v && holds(*v); });
-    return view == exposure.views.end() ? std::string() : options_.tracks.views[static_cast<std::size_t>(view - exposure.views.begin())];
+    return view == exposure.views.end()
+               ? std::string()
+               : options_.tracks.views[static_cast<std::size_t>(view - exposure.views.begin())];
   };
   // What shows nothing, or what an earlier exposure showed, is no evidence of where the patient is.
   const std::string blind = any([](const TrackedView& view) { return view.state == RegionState::BLIND; });
-  const std::string unable = any([](const TrackedView& view)
-                                 { return view.state == RegionState::UNTRAINED && !view.fault.empty(); });
+  const std::string unable =
+      any([](const TrackedView& view) { return view.state == RegionState::UNTRAINED && !view.fault.empty(); });
   if (options_.refinement.mode == RefinementMode::NEVER)
   {
     current_->not_registered = "no registration is asked for";
@@ -366,8 +367,8 @@ void MotionMonitor::applyLate(const Refinement& refinement)
     last_pose_ = { refinement.stamp, refinement.refined };
     return;
   }
-  const auto exposure = std::find_if(decided_.begin(), decided_.end(), [&](const TrackedExposure& decided)
-                                     { return decided.stamp == refinement.stamp; });
+  const auto exposure = std::find_if(decided_.begin(), decided_.end(),
+                                     [&](const TrackedExposure& decided) { return decided.stamp == refinement.stamp; });
   if (!apply(refinement, exposure == decided_.end() ? nullptr : &*exposure).empty())
   {
     return;

@@ -244,8 +244,7 @@ std::string RefinementPolicy::fault(const RefinementReply& reply) const
   {
     return "the refined pose, its covariance or its similarity is not finite";
   }
-  if (!(reply.similarity >= options_.min_similarity) ||
-      !(reply.similarity >= reply.seed_similarity - kSimilarityNoise))
+  if (!(reply.similarity >= options_.min_similarity) || !(reply.similarity >= reply.seed_similarity - kSimilarityNoise))
   {
     return compose("the similarity is ", reply.similarity, ", expected at least ", options_.min_similarity,
                    " and the seed's ", reply.seed_similarity);

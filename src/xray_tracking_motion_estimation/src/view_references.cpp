@@ -8,9 +8,7 @@ namespace
 constexpr std::size_t kHistoryCapacity = 1000;
 }  // namespace
 
-ViewReferences::ViewReferences(std::size_t views) : history_(kHistoryCapacity), references_(views)
-{
-}
+ViewReferences::ViewReferences(std::size_t views) : history_(kHistoryCapacity), references_(views) {}
 
 void ViewReferences::clear()
 {
@@ -48,8 +46,8 @@ bool ViewReferences::find(std::size_t view, const TrackedView& tracked)
   {
     return false;
   }
-  reference = Reference{ tracked.reference_stamp, tracked.region,   pose->room_from_patient, pose->room_from_patient,
-                         std::nullopt,            pose->registered };
+  reference = Reference{ tracked.reference_stamp, tracked.region, pose->room_from_patient,
+                         pose->room_from_patient, std::nullopt,   pose->registered };
   return true;
 }
 
@@ -72,8 +70,7 @@ void ViewReferences::anchor(std::size_t view, const TrackedView& tracked, const 
   {
     // Learnt at a pose that is not known: about where it is now, less what it was tracked by.
     reference = Reference{ tracked.reference_stamp, tracked.region, room_from_patient, {}, {}, true };
-    reference->region +=
-        cv::Point(cvRound(track.displacement.x()), cvRound(track.displacement.y()));
+    reference->region += cv::Point(cvRound(track.displacement.x()), cvRound(track.displacement.y()));
   }
   reference->room_from_patient = room_from_patient;
   reference->anchor = track;

@@ -38,7 +38,8 @@ struct MotionMonitorOptions
   /// How long an exposure waits, from when it was tracked, for its registered pose [s], 0 to 10.
   double deadline = 0.1;
   ExposureEstimatorOptions tracks;
-  double rigid_sigma = 0.027;  ///< floor of ConsistencyOptions for a rigid target, which `views_differ` follows from, > 0
+  double rigid_sigma =
+      0.027;  ///< floor of ConsistencyOptions for a rigid target, which `views_differ` follows from, > 0
   PosePredictorOptions prediction;
   BeamGateOptions gate;
   RefinementPolicyOptions refinement;

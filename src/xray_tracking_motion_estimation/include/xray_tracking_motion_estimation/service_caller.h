@@ -118,9 +118,9 @@ private:
       {
         return;
       }
-      queue()->addCallback(boost::make_shared<Callback>([this, why, response = std::move(message.response)]
-                                                        { deliver(response, why); }),
-                           id());
+      queue()->addCallback(
+          boost::make_shared<Callback>([this, why, response = std::move(message.response)] { deliver(response, why); }),
+          id());
     }
   }
 

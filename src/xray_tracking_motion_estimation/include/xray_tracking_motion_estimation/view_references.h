@@ -37,7 +37,8 @@ public:
 
   /// From here on the view's track counts from this exposure, at this pose: what it was wrong by until then is out of
   /// it. Nothing happens if the view has got a newer template meanwhile.
-  void anchor(std::size_t view, const TrackedView& tracked, const Track& track, const RigidTransform& room_from_patient);
+  void anchor(std::size_t view, const TrackedView& tracked, const Track& track,
+              const RigidTransform& room_from_patient);
 
   /// Moves all poses that were tracked, not registered, as a refinement does.
   void carry(const Refinement& refinement, const Eigen::Vector3d& target_centre);

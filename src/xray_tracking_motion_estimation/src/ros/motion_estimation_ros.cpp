@@ -69,8 +69,8 @@ RefinementReply replyFrom(std::uint64_t id, const std::optional<RefinePose::Resp
   const RefinementResult& result = response->result;
   if (result.status != RefinementResult::SUCCESS)
   {
-    reply.text = "the registration's status is " + std::to_string(static_cast<int>(result.status)) + ": " +
-                 result.reason;
+    reply.text =
+        "the registration's status is " + std::to_string(static_cast<int>(result.status)) + ": " + result.reason;
     return reply;
   }
   try
@@ -111,8 +111,8 @@ MotionEstimationRos::MotionEstimationRos(const ros::NodeHandle& nh, const ros::N
     idle_gate_.reset(configuration_fault_);
     ROS_FATAL_STREAM(pnh_.getNamespace() << " is idle: " << configuration_fault_);
   }
-  watchdog_ = nh_.createSteadyTimer(ros::WallDuration(BeamGatePublisher::kPeriod), &MotionEstimationRos::watchdogCb,
-                                    this);
+  watchdog_ =
+      nh_.createSteadyTimer(ros::WallDuration(BeamGatePublisher::kPeriod), &MotionEstimationRos::watchdogCb, this);
   report_timer_ = nh_.createSteadyTimer(ros::WallDuration(1.0), &MotionEstimationRos::reportCb, this);
 }
 
@@ -191,9 +191,10 @@ void MotionEstimationRos::subscribe(View& view, std::size_t index)
         [&view](const std::optional<TrainRegion::Response>& response, const std::string& why)
         {
           const bool learnt = response && response->status == TrainRegion::Response::OK;
-          ROS_INFO_STREAM_COND(learnt, view.name << " has learnt its region anew where the registration sees the target");
-          ROS_WARN_STREAM_COND(!learnt, view.name << " has not learnt its region anew: "
-                                                  << (response ? response->message : why));
+          ROS_INFO_STREAM_COND(learnt,
+                               view.name << " has learnt its region anew where the registration sees the target");
+          ROS_WARN_STREAM_COND(
+              !learnt, view.name << " has not learnt its region anew: " << (response ? response->message : why));
         });
   }
 }
@@ -352,8 +353,8 @@ void MotionEstimationRos::settle()
   if (const std::optional<std::int64_t> wake = monitor_->wakeAt())
   {
     deadline_timer_.stop();
-    deadline_timer_.setPeriod(ros::WallDuration(1e-9 * static_cast<double>(std::max<std::int64_t>(
-                                  *wake - steadyNanoseconds(), 100000))));
+    deadline_timer_.setPeriod(
+        ros::WallDuration(1e-9 * static_cast<double>(std::max<std::int64_t>(*wake - steadyNanoseconds(), 100000))));
     deadline_timer_.start();
   }
 }
@@ -445,7 +446,7 @@ void MotionEstimationRos::train(const RegionProposal& proposal)
   const cv::Rect inside = proposal.region & cv::Rect(0, 0, size.x(), size.y());
   ROS_WARN_STREAM(view.name << " does not follow the target, and is to learn its region anew where the registration "
                                "sees it");
-  if (inside.area() * 2 > proposal.region.area())
+  if (2 * inside.area() > proposal.region.area())
   {
     request.region = regionMsgFromRect(inside);
     view.trainer->call(request);
