@@ -238,10 +238,15 @@ TEST(EvaluateBag, saysThatNothingWasVerified)
                        "nothing was verified, the poses may all be wrong: 3 refused since, the last one: "
                        "flat optimum\n"))
       << result.output;
-  result =
-      evaluate([](RecordedRun& recorded) { recorded.gate(ros::Time(51, 0), false, BeamGate::NOT_MEASURED, "lost"); });
+  result = evaluate(
+      [](RecordedRun& recorded)
+      {
+        recorded.gate(ros::Time(51, 0), false, BeamGate::NO_EXPOSURE, "nothing so far");
+        recorded.gate(ros::Time(51, 0), false, BeamGate::NOT_MEASURED, "lost");
+        recorded.gate(ros::Time(51, 0), false, BeamGate::STALE, "the latest exposure is 2 s old");
+      });
   EXPECT_EQ(1, result.status);
-  EXPECT_TRUE(contains(result.output, "beam_gate never had a pose to judge\n")) << result.output;
+  EXPECT_TRUE(contains(result.output, "beam_gate never had a pose to judge: lost\n")) << result.output;
   result = evaluate([](RecordedRun&) {});
   EXPECT_EQ(1, result.status);
   EXPECT_TRUE(contains(result.output, "nothing was verified, the poses may all be wrong: the bag has no beam_gate\n"))
