@@ -51,6 +51,12 @@ class ConfigurationTest(unittest.TestCase):
                         self.assertTrue(roslib.packages.find_node(node.package, node.type),
                                         f"{node.package}/{node.type}")
 
+    def test_where_there_is_a_ct_it_is_registered(self):
+        path = next(path for path in files("launch", "*.launch") if path.name == "tracking.launch")
+        for source, method in (("ct", "tracking_and_registration"), ("phantom", "tracking")):
+            params = load(path, REQUIRED_ARGUMENTS[path.name] + [f"source:={source}"]).params
+            self.assertEqual(params["/motion_estimation/method"].value, method)
+
     def test_who_verifies_the_pose(self):
         path = next(path for path in files("launch", "*.launch") if path.name == "tracking.launch")
         arguments = REQUIRED_ARGUMENTS[path.name]

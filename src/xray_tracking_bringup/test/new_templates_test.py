@@ -65,8 +65,9 @@ class NewTemplatesTest(GraphTestCase):
         errors = self.errors_mm((box["min"], box["max"]))
         print(f"TRE mm: median {np.median(errors[1:]):.3f}, max {errors.max():.3f}")
         # A new reference's place is known as well as a track: two changes add their errors, of about 0.1 mm each.
-        self.assertLessEqual(np.median(errors[1:]), 0.3)
-        self.assertLessEqual(errors.max(), 1.0)
+        # 0.05 and 0.10 in repeated runs.
+        self.assertLessEqual(np.median(errors[1:]), 0.08)
+        self.assertLessEqual(errors.max(), 0.2)
 
 
 if __name__ == "__main__":

@@ -24,8 +24,9 @@ class PhantomTest(GraphTestCase):
         self.assertGreater(max(moved), 6.0)
         self.assertLessEqual(max(moved), 10.0 + 1e-6)
         self.assertLess(errors[0], 1e-6)
-        self.assertLessEqual(np.median(errors[1:]), 0.3)
-        self.assertLessEqual(errors.max(), 1.0)
+        # 0.026 to 0.042 and 0.051 to 0.094 in repeated runs.
+        self.assertLessEqual(np.median(errors[1:]), 0.06)
+        self.assertLessEqual(errors.max(), 0.12)
 
         self.assertEqual(self.verified(), set(self.motions), "the launch file's argument says so")
         self.assertEqual(self.tf_count, EXPOSURES, "each stamp once on tf")

@@ -41,11 +41,11 @@ class ThreeDetectorsTest(GraphTestCase):
                 self.assertEqual(self.regions[name][stamp].state, TrackedRegion.TRACKING)
         print(f"TRE mm: tracked: median {np.median(errors[1:]):.3f}, max {errors.max():.3f}; "
               f"registered: median {np.median(registered[1:]):.3f}, max {max(registered):.3f}")
-        # The same as with two detectors, which a third one does not make worse.
-        self.assertLessEqual(np.median(errors[1:]), 0.3)
-        self.assertLessEqual(errors.max(), 1.0)
-        self.assertLessEqual(np.median(registered[1:]), 0.3)
-        self.assertLessEqual(max(registered), 0.8)
+        # 0.07 and 0.11 in repeated runs: what is published is what is registered.
+        self.assertLessEqual(np.median(errors[1:]), 0.10)
+        self.assertLessEqual(errors.max(), 0.2)
+        self.assertLessEqual(np.median(registered[1:]), 0.10)
+        self.assertLessEqual(max(registered), 0.2)
 
 
 if __name__ == "__main__":

@@ -20,6 +20,7 @@ template <typename... Parts>
 std::string compose(const Parts&... parts)
 {
   std::ostringstream text;
+  text.precision(3);
   (text << ... << parts);
   return text.str();
 }
@@ -148,12 +149,12 @@ BeamGate::Verdict BeamGate::judgeSpeed(const GateExposure& exposure) const
 BeamGate::Verdict BeamGate::judgePlace() const
 {
   const double distance = displacement_.norm();
-  if (distance > options_.max_displacement || std::hypot(rotation_, std::sqrt(rotation_variance_)) > options_.max_rotation)
+  if (distance > options_.max_displacement ||
+      std::hypot(rotation_, std::sqrt(rotation_variance_)) > options_.max_rotation)
   {
-    return { GateReason::DISPLACED,
-             compose("the target is displaced by ", distance, " mm and turned by ", rotation_, " rad, known to ",
-                     std::sqrt(rotation_variance_), " rad, expected at most ", options_.max_displacement, " mm and ",
-                     options_.max_rotation, " rad") };
+    return { GateReason::DISPLACED, compose("the target is displaced by ", distance, " mm and turned by ", rotation_,
+                                            " rad, known to ", std::sqrt(rotation_variance_), " rad, expected at most ",
+                                            options_.max_displacement, " mm and ", options_.max_rotation, " rad") };
   }
   return { GateReason::NONE, "" };
 }

@@ -30,6 +30,7 @@ template <typename... Parts>
 std::string compose(const Parts&... parts)
 {
   std::ostringstream text;
+  text.precision(3);
   (text << ... << parts);
   return text.str();
 }

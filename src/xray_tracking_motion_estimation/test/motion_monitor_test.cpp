@@ -197,7 +197,8 @@ TEST_F(MonitorTest, TheTrackedPoseComesAtTheDeadlineAndALateAnswerMovesWhatFollo
   monitor->onReply(believed(late.id, { 1.0, 0.3, 0.0 }), now + 10 * kMillisecond);
   const RefinementRequest asked = request();
   EXPECT_EQ(asked.stamp, stamp);
-  EXPECT_LT((asked.room_from_patient * scene.targetCentre() - scene.target - Eigen::Vector3d(2.0, 0.3, 0.0)).norm(), 1e-3);
+  EXPECT_LT((asked.room_from_patient * scene.targetCentre() - scene.target - Eigen::Vector3d(2.0, 0.3, 0.0)).norm(),
+            1e-3);
   monitor->onReply(doubted(asked.id), now + 20 * kMillisecond);
   decision = this->decision();
   expectPose(decision, PoseSource::TRACKED, { 2.0, 0.3, 0.0 }, 1e-3);
@@ -312,8 +313,10 @@ TEST_F(MonitorTest, WithoutTracksTheSecondRegistrationConfirmsTheFirst)
   expose({ 0.0, 0.0, 0.0 }, loseAll);
   monitor->onReply(believed(request().id, { 0.5, 0.0, 0.0 }), now);
   expectNone(decision(), MotionState::LOST, "which the next exposure has to confirm");
-  expectPose(registered({ 0.5, 0.0, 0.0 }, { 0.0, 0.0, 0.0 }, loseAll), PoseSource::REGISTERED, { 0.5, 0.0, 0.0 }, kExact);
-  expectPose(registered({ 1.5, 0.0, 0.0 }, { 0.0, 0.0, 0.0 }, loseAll), PoseSource::REGISTERED, { 1.5, 0.0, 0.0 }, kExact);
+  expectPose(registered({ 0.5, 0.0, 0.0 }, { 0.0, 0.0, 0.0 }, loseAll), PoseSource::REGISTERED, { 0.5, 0.0, 0.0 },
+             kExact);
+  expectPose(registered({ 1.5, 0.0, 0.0 }, { 0.0, 0.0, 0.0 }, loseAll), PoseSource::REGISTERED, { 1.5, 0.0, 0.0 },
+             kExact);
   // The next vertebra, 17 mm away, is farther than the target can have gone.
   expectNone(registered({ 1.5, 0.0, 0.0 }, { 17.0, 0.0, 0.0 }, loseAll), MotionState::LOST, "correction is 17");
 }
@@ -331,8 +334,7 @@ TEST_F(MonitorTest, AViewThatHasLostItsRegionLearnsItWhereTheRegistrationSeesThe
   ASSERT_TRUE(proposal);
   EXPECT_EQ(proposal->view, 0u);
   const TrackedView view = tracked(0, there);
-  const Eigen::Vector2d expected =
-      Eigen::Vector2d(view.region.x, view.region.y) + view.track.displacement;
+  const Eigen::Vector2d expected = Eigen::Vector2d(view.region.x, view.region.y) + view.track.displacement;
   EXPECT_LT((Eigen::Vector2d(proposal->region.x, proposal->region.y) - expected).norm(), 1.0);
   EXPECT_EQ(proposal->region.size(), view.region.size());
   // The new template, of this exposure, is of use in the next one, without a registration too.

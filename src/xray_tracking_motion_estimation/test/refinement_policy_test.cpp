@@ -317,8 +317,8 @@ TEST_F(RefinementTest, WithoutTracksNobodyGetsFartherThanATargetMoves)
   EXPECT_TRUE(refine(policy, lostAt(moved(0.0), 0.81), moved(17.0)).refinement);
 }
 
-// Two that are farther apart than a target moves meanwhile do not agree: 0.5 mm, what registrations spread by, and three
-// of their deviations of 0.14 mm.
+// Two that are farther apart than a target moves meanwhile do not agree: 0.5 mm, what registrations spread by, and
+// three of their deviations of 0.14 mm.
 TEST_F(RefinementTest, WithoutTracksRegistrationsElsewhereConfirmNothing)
 {
   options.mode = RefinementMode::EVERY_FRAME;

@@ -100,7 +100,8 @@ int main(int argc, char** argv)
   command_line.usage = "BAG OUT_DIR --setup SETUP.yaml [--sequence DIR] [--frames N] [--name NAME]";
   command_line.description =
       "Compares the recorded patient poses with the gold standard; writes tre.csv, poses.csv and summary.json, prints\n"
-      "the summary: of the poses that were published, by the run's method, and of what the registration said by itself.\n"
+      "the summary: of the poses that were published, by the run's method, and of what the registration said by "
+      "itself.\n"
       "Exit status 0 only if every exposure has a pose, and the beam gate took that of some exposure for verified.";
   command_line.arguments = { "BAG", "OUT_DIR" };
   command_line.options.add_options()("setup", po::value<std::string>(), "setup file of a live run: the target box")(

@@ -129,13 +129,13 @@ Method makeMethod(const std::string& name, const TreatmentSetup& setup, CtModels
   if (name == kPaperRegistration)
   {
     const auto run = std::make_shared<PaperRegistration>(setup, models.oneBody());
-    return [run](std::int64_t, const std::vector<cv::Mat>& images)
-    { return Answer{ run->add(images), "the registration found no pose" }; };
+    return [run](std::int64_t, const std::vector<cv::Mat>& images) {
+      return Answer{ run->add(images), "the registration found no pose" };
+    };
   }
   const bool paper = name == kPaperTracking;
   const PoseMethod method = paper ? PoseMethod::TRACKING : poseMethodFromName(name);
-  const auto run =
-      std::make_shared<OfflineRun>(setup, method, needsCt(name) ? models.twoBodies() : nullptr, paper);
+  const auto run = std::make_shared<OfflineRun>(setup, method, needsCt(name) ? models.twoBodies() : nullptr, paper);
   return [run](std::int64_t stamp_ns, const std::vector<cv::Mat>& images)
   {
     const MotionDecision decision = run->add(stamp_ns, images);
@@ -207,8 +207,7 @@ int evaluateSequence(const po::variables_map& arguments)
   std::vector<std::string> problems;
   for (const std::string& method : methods)
   {
-    evaluation.methods.push_back(
-        runMethod(method, source, models, arguments.count("times") != 0, problems));
+    evaluation.methods.push_back(runMethod(method, source, models, arguments.count("times") != 0, problems));
   }
   writeEvaluation(evaluation, arguments["out"].as<std::string>());
   std::cout << formatTable(evaluation) << std::flush;
@@ -224,11 +223,13 @@ int evaluateSequence(const po::variables_map& arguments)
 int main(int argc, char** argv)
 {
   xray_tracking::CommandLine command_line;
-  command_line.usage = "--sequence DIR | --bag BAG --setup SETUP.yaml --out DIR [--methods LIST] [--frames N] [--times]";
+  command_line.usage =
+      "--sequence DIR | --bag BAG --setup SETUP.yaml --out DIR [--methods LIST] [--frames N] [--times]";
   command_line.description =
       "Runs methods over a sequence folder's or a bag's exposures without ROS, by the rules of the live graph and as\n"
       "fast as the machine goes, and judges them as evaluate_bag does: tre.csv, poses.csv, summary.json, a table. The\n"
-      "same exposures give the same files to the last bit. Exit status 0 only if every method has a pose of every exposure.";
+      "same exposures give the same files to the last bit. Exit status 0 only if every method has a pose of every "
+      "exposure.";
   command_line.options.add_options()("sequence", po::value<std::string>(), "sequence folder")(
       "bag", po::value<std::string>(), "bag with image_raw and camera_info of every detector")(
       "setup", po::value<std::string>(), "of a bag: geometry, CT, initial pose, target box")(

@@ -20,6 +20,7 @@ namespace
 {
 /// Of what the registration said by itself, beside the poses that were published.
 constexpr const char* kRegistration = "registration";
+constexpr const char* kNoPose = "beam_gate never had a pose to judge";
 
 using xray_tracking_msgs::BeamGate;
 using xray_tracking_msgs::PatientMotion;
@@ -59,7 +60,11 @@ void readGate(const BeamGate& gate, std::int64_t epoch_ns, TrackingRecord& recor
   }
   else if (record.unverified.empty())
   {
-    record.unverified = "beam_gate never had a pose to judge";
+    record.unverified = gate.reason == BeamGate::NOT_MEASURED ? kNoPose + (": " + gate.text) : kNoPose;
+  }
+  else if (record.unverified.rfind(kNoPose, 0) == 0 && gate.reason == BeamGate::NOT_MEASURED)
+  {
+    record.unverified = std::string(kNoPose) + ": " + gate.text;
   }
 }
 

@@ -159,7 +159,8 @@ TEST(EvaluateBag, writesResultsAndNamesTheUnanswered)
                                    " --setup " + folder.file("sequence.yaml"));
   EXPECT_EQ(1, result.status);
   EXPECT_TRUE(contains(result.output, "tracking")) << result.output;
-  EXPECT_TRUE(contains(result.output, "frame 3 (53.0000 s) of tracking lost: detector_b lost its region\n")) << result.output;
+  EXPECT_TRUE(contains(result.output, "frame 3 (53.0000 s) of tracking lost: detector_b lost its region\n"))
+      << result.output;
   EXPECT_TRUE(contains(result.output, "frame 4 (54.0000 s) of tracking failed: no patient_motion\n")) << result.output;
   EXPECT_EQ(6U, rowsOf(folder.file("results/tre.csv"), "tracking").size());
   EXPECT_TRUE(std::filesystem::exists(folder.file("results/summary.json")));
@@ -199,8 +200,8 @@ TEST(EvaluateBag, judgesARunThatRegistersByTheRegistration)
     const CommandResult result = run("evaluate_bag " + folder.file("run.bag") + " " + folder.file("results") +
                                      " --setup " + folder.file("sequence.yaml"));
     EXPECT_EQ(last ? 0 : 1, result.status) << result.output;
-    EXPECT_EQ(!last, contains(result.output,
-                              "frame 1 (51.0000 s) of tracking_and_registration lost: the views disagree\n"))
+    EXPECT_EQ(!last,
+              contains(result.output, "frame 1 (51.0000 s) of tracking_and_registration lost: the views disagree\n"))
         << result.output;
     EXPECT_TRUE(contains(result.output, "frame 1 (51.0000 s) of registration lost: status 1\n")) << result.output;
   }
@@ -237,10 +238,15 @@ TEST(EvaluateBag, saysThatNothingWasVerified)
                        "nothing was verified, the poses may all be wrong: 3 refused since, the last one: "
                        "flat optimum\n"))
       << result.output;
-  result =
-      evaluate([](RecordedRun& recorded) { recorded.gate(ros::Time(51, 0), false, BeamGate::NOT_MEASURED, "lost"); });
+  result = evaluate(
+      [](RecordedRun& recorded)
+      {
+        recorded.gate(ros::Time(51, 0), false, BeamGate::NO_EXPOSURE, "nothing so far");
+        recorded.gate(ros::Time(51, 0), false, BeamGate::NOT_MEASURED, "lost");
+        recorded.gate(ros::Time(51, 0), false, BeamGate::STALE, "the latest exposure is 2 s old");
+      });
   EXPECT_EQ(1, result.status);
-  EXPECT_TRUE(contains(result.output, "beam_gate never had a pose to judge\n")) << result.output;
+  EXPECT_TRUE(contains(result.output, "beam_gate never had a pose to judge: lost\n")) << result.output;
   result = evaluate([](RecordedRun&) {});
   EXPECT_EQ(1, result.status);
   EXPECT_TRUE(contains(result.output, "nothing was verified, the poses may all be wrong: the bag has no beam_gate\n"))

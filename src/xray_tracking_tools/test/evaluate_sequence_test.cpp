@@ -82,8 +82,7 @@ TEST(EvaluateSequence, AnswersEveryExposure)
 {
   const TemporaryFolder folder;
   writeTestSequence(folder);
-  const CommandResult result =
-      run("evaluate_sequence --sequence " + folder.file("") + " --out " + folder.file("out"));
+  const CommandResult result = run("evaluate_sequence --sequence " + folder.file("") + " --out " + folder.file("out"));
   EXPECT_EQ(1, result.status);
   for (int k = 0; k < 5; ++k)
   {
@@ -122,13 +121,14 @@ protected:
 /// quarter more.
 TEST_F(SharedSequence, ThreeMethodsOfOneRunAreAsGoodAsTheLiveGraph)
 {
-  const CommandResult result =
-      run("evaluate_sequence --sequence " + sequence + " --out " + folder.file("out"));
+  const CommandResult result = run("evaluate_sequence --sequence " + sequence + " --out " + folder.file("out"));
   EXPECT_EQ(0, result.status) << result.output;
   auto errors = errorsOf(folder.file("out/tre.csv"));
-  const std::map<std::string, double> median = { { "tracking", 1.0 }, { "registration", 0.10 },
+  const std::map<std::string, double> median = { { "tracking", 1.0 },
+                                                 { "registration", 0.10 },
                                                  { "tracking_and_registration", 0.10 } };
-  const std::map<std::string, double> largest = { { "tracking", 1.28 }, { "registration", 0.15 },
+  const std::map<std::string, double> largest = { { "tracking", 1.28 },
+                                                  { "registration", 0.15 },
                                                   { "tracking_and_registration", 0.15 } };
   for (const auto& [method, limit] : median)
   {
@@ -154,8 +154,7 @@ TEST_F(SharedSequence, IsTheSameToTheLastByteAndFromABag)
   EXPECT_EQ(0, result.status) << result.output;
   for (const char* name : { "tre.csv", "poses.csv", "summary.json" })
   {
-    EXPECT_EQ(contents(folder.file(std::string("a/") + name)), contents(folder.file(std::string("b/") + name)))
-        << name;
+    EXPECT_EQ(contents(folder.file(std::string("a/") + name)), contents(folder.file(std::string("b/") + name))) << name;
   }
   // A bag's stamps are those of its playback.
   const auto poses_of = [this](const char* out)
@@ -174,9 +173,9 @@ TEST_F(SharedSequence, IsTheSameToTheLastByteAndFromABag)
 /// Of up to 1.1 mm of motion, uncorrected.
 TEST_F(SharedSequence, ThePaperIsARowToo)
 {
-  const CommandResult result = run("evaluate_sequence --sequence " + sequence +
-                                   " --frames 2 --methods paper_tracking,paper_registration --out " +
-                                   folder.file("out"));
+  const CommandResult result =
+      run("evaluate_sequence --sequence " + sequence +
+          " --frames 2 --methods paper_tracking,paper_registration --out " + folder.file("out"));
   EXPECT_EQ(0, result.status) << result.output;
   const auto errors = errorsOf(folder.file("out/tre.csv"));
   for (const char* method : { "paper_tracking", "paper_registration" })

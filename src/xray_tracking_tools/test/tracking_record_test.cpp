@@ -202,8 +202,8 @@ TEST(TrackingRecord, namesWhatIsWrong)
                              run.motion(ros::Time(6, 0), PatientMotion::LOST);
                            }),
                        "the exposure at 6.0000 s has no patient_ground_truth"));
-  EXPECT_TRUE(contains(errorOfRun([](RecordedRun& run) { run.refined(ros::Time(5, 0), 77, 0, 0, 0); }),
-                       "status is 77"));
+  EXPECT_TRUE(
+      contains(errorOfRun([](RecordedRun& run) { run.refined(ros::Time(5, 0), 77, 0, 0, 0); }), "status is 77"));
   EXPECT_TRUE(contains(errorOfRun([](RecordedRun&) {}), "no exposure"));
   EXPECT_TRUE(contains(errorOf([&folder] { readTrackingRecord(folder.file("none.bag"), 0); }), "none.bag"));
 

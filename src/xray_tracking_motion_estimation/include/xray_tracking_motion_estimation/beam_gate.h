@@ -86,13 +86,13 @@ struct GateExposure
   Eigen::Vector3d displacement = Eigen::Vector3d::Zero();  ///< target's centre from its planned place, room axes [mm]
   double rotation = 0.0;                                   ///< from the planned one [rad]
   double rotation_variance = 0.0;  ///< of the rotation about its worst axis, what nobody measures included [rad^2]
-  Eigen::Matrix3d covariance = Eigen::Matrix3d::Zero();    ///< of the displacement [mm^2]
+  Eigen::Matrix3d covariance = Eigen::Matrix3d::Zero();  ///< of the displacement [mm^2]
 };
 
 /// Whether the beam is to be held, and why. Advice of research software, see docs/safety.md.
 ///
-/// Fails closed: open only while the latest exposure is young, has a pose that is verified and within all bounds, and the
-/// ones before it were, too. No clock of its own: tick() has to be called often, so that silence closes it.
+/// Fails closed: open only while the latest exposure is young, has a pose that is verified and within all bounds, and
+/// the ones before it were, too. No clock of its own: tick() has to be called often, so that silence closes it.
 class BeamGate
 {
 public:

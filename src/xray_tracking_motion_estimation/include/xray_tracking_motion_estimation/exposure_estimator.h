@@ -115,7 +115,8 @@ private:
   std::vector<std::optional<ViewMeasurement>> measurements_;
   std::int64_t started_ = 0;
   std::int64_t first_heard_ = 0;
-  std::optional<std::int64_t> first_unseen_;  ///< first exposure that gave a view no template while nothing was measured
+  std::optional<std::int64_t>
+      first_unseen_;  ///< first exposure that gave a view no template while nothing was measured
   std::string observability_;
 };
 }  // namespace xray_tracking

@@ -96,9 +96,9 @@ private:
   MotionReport report_;
   BeamGate idle_gate_;  ///< of a node that cannot work
 
-  ros::Time started_;     ///< this node; zero until a simulated clock has come
+  ros::Time started_;      ///< this node; zero until a simulated clock has come
   ros::Time first_heard_;  ///< earliest exposure since the start; zero before
-  ros::Time latest_;      ///< exposure that was decided last
+  ros::Time latest_;       ///< exposure that was decided last
   ros::SteadyTime first_arrival_;
 
   tf2_ros::Buffer tf_buffer_;

@@ -29,8 +29,8 @@ struct PoseVerificationOptions
 
 /// Whether the poses that tracks lead to are verified. Tracks tell how the target moved, not where it was at first: the
 /// initial pose is a claim. What verifies it is an accepted refinement: the registration believes a pose, and the
-/// tracks, or the registrations before, agree with it. After one that was refused it takes two in a row: who asks often enough about a wrong pose
-/// will be told once that it is right.
+/// tracks, or the registrations before, agree with it. After one that was refused it takes two in a row: who asks often
+/// enough about a wrong pose will be told once that it is right.
 ///
 /// No clock of its own; stamps are those of exposures [ns].
 class PoseVerification

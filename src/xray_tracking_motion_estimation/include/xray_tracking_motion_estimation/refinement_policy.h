@@ -106,9 +106,9 @@ struct Refinement
 enum class RefinementVerdict
 {
   ACCEPTED,
-  REFUSED,       ///< the registration has failed, or is not believed, or its numbers are of no use
-  CONTRADICTS,   ///< it believes a pose that the tracked one contradicts: one of the two is wrong
-  UNCONFIRMED    ///< it believes a pose, and there is no tracked one: the next exposure's has to agree with it
+  REFUSED,      ///< the registration has failed, or is not believed, or its numbers are of no use
+  CONTRADICTS,  ///< it believes a pose that the tracked one contradicts: one of the two is wrong
+  UNCONFIRMED   ///< it believes a pose, and there is no tracked one: the next exposure's has to agree with it
 };
 
 /// Says when to ask for refinements and judges what comes back. One request at a time; all methods from one thread.
@@ -116,8 +116,9 @@ enum class RefinementVerdict
 /// A believed pose is accepted if it agrees with the tracked one, by bounds and by chi-square. Registrations that agree
 /// with each other, by the way that the target can have gone meanwhile, outweigh tracks: three in a row those that are
 /// off by more than chi-square allows, if exposures are so dense that this way is less than the bound; three in a row
-/// that contradict them those that are off by up to twice the bound; two in a row those that have lost the target, up to
-/// the bound and the way that the target can have gone since the last pose. So nobody gets to the next vertebra at once.
+/// that contradict them those that are off by up to twice the bound; two in a row those that have lost the target, up
+/// to the bound and the way that the target can have gone since the last pose. So nobody gets to the next vertebra at
+/// once.
 class RefinementPolicy
 {
 public:

@@ -51,11 +51,11 @@ const char* motionStateName(MotionState state);
 /// A complete exposure.
 struct TrackedExposure
 {
-  std::int64_t stamp = 0;    ///< [ns]
-  std::int64_t arrival = 0;  ///< monotonic clock [ns]
-  std::int64_t age = 0;      ///< at its arrival, by the clock that stamps are of [ns]
-  MotionState fault = MotionState::OK;  ///< BAD_STAMP or WAITING if it is of no use, whatever the views say
-  std::string text;                     ///< why
+  std::int64_t stamp = 0;                         ///< [ns]
+  std::int64_t arrival = 0;                       ///< monotonic clock [ns]
+  std::int64_t age = 0;                           ///< at its arrival, by the clock that stamps are of [ns]
+  MotionState fault = MotionState::OK;            ///< BAD_STAMP or WAITING if it is of no use, whatever the views say
+  std::string text;                               ///< why
   std::vector<std::optional<TrackedView>> views;  ///< nothing of a view that was not waited for
   double cpu_seconds = 0.0;                       ///< processor time of all trackers
   double wall_seconds = 0.0;                      ///< from the images' arrival to that of the last track

@@ -35,9 +35,7 @@ ros::Duration durationFromNanoseconds(std::int64_t nanoseconds)
 }
 }  // namespace
 
-BeamGatePublisher::BeamGatePublisher(ros::NodeHandle nh) : publisher_(nh.advertise<Message>("beam_gate", 1))
-{
-}
+BeamGatePublisher::BeamGatePublisher(ros::NodeHandle nh) : publisher_(nh.advertise<Message>("beam_gate", 1)) {}
 
 void BeamGatePublisher::publish(const BeamGate& gate, const ros::Time& exposure, std::int64_t now)
 {
@@ -56,8 +54,8 @@ void BeamGatePublisher::publish(const BeamGate& gate, const ros::Time& exposure,
   Message message;
   message.header.stamp = ros::Time::now();
   message.header.frame_id = kRoomFrame;
-  message.valid_until = timeFromNanoseconds(nanosecondsFromTime(message.header.stamp) +
-                                            static_cast<std::int64_t>(1e9 * kValid));
+  message.valid_until =
+      timeFromNanoseconds(nanosecondsFromTime(message.header.stamp) + static_cast<std::int64_t>(1e9 * kValid));
   message.open = static_cast<std::uint8_t>(gate.open());
   message.verified = static_cast<std::uint8_t>(gate.verification().verified());
   message.reason = static_cast<std::uint8_t>(gate.reason());

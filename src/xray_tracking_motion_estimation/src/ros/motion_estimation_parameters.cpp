@@ -127,8 +127,8 @@ MotionEstimationParameters readMotionEstimationParameters(const ros::NodeHandle&
   requireOption(parameters.view_timeout > 0.0, "view_timeout", parameters.view_timeout, "a number > 0 s");
   requireOption(tracks.pairing_tolerance >= 0.0 && tracks.pairing_tolerance <= 1.0, "pairing_tolerance",
                 tracks.pairing_tolerance, "0 to 1 s, less than half the time between exposures");
-  requireOption(tracks.target_speed >= 0.0 && tracks.target_speed <= 1e4, "target_speed",
-                tracks.target_speed, "0 to 10000 mm/s");
+  requireOption(tracks.target_speed >= 0.0 && tracks.target_speed <= 1e4, "target_speed", tracks.target_speed,
+                "0 to 10000 mm/s");
   const std::vector<std::string>& names = tracks.views;
   requireOption(names.size() >= 2 && std::set<std::string>(names.begin(), names.end()).size() == names.size(),
                 "the length of detectors", names.size(), "two or more names that differ");

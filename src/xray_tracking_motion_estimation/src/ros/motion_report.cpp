@@ -49,9 +49,9 @@ void MotionReport::log(const MotionMonitor& monitor, const std::vector<ViewRepor
     if (view.silent != logged.silent)
     {
       logged.silent = view.silent;
-      ROS_WARN_STREAM_COND(view.silent, "nothing arrives on " << view.topic << " while other detectors send: "
-                                                              << (views.size() > 2 ? "it is not waited for"
-                                                                                   : "no pose until it does"));
+      ROS_WARN_STREAM_COND(view.silent, "nothing arrives on "
+                                            << view.topic << " while other detectors send: "
+                                            << (views.size() > 2 ? "it is not waited for" : "no pose until it does"));
     }
     if (view.camera_info_fault != logged.fault)
     {
@@ -71,10 +71,9 @@ void MotionReport::log(const MotionMonitor& monitor, const std::vector<ViewRepor
     logMotion();
   }
   const std::size_t drops = counts.incomplete + counts.duplicates + counts.late;
-  ROS_WARN_STREAM_COND(drops != drops_at_last_warning_, "dropped so far: " << counts.incomplete
-                                                                           << " exposures that lack a view, "
-                                                                           << counts.duplicates << " duplicates, "
-                                                                           << counts.late << " late messages");
+  ROS_WARN_STREAM_COND(drops != drops_at_last_warning_,
+                       "dropped so far: " << counts.incomplete << " exposures that lack a view, " << counts.duplicates
+                                          << " duplicates, " << counts.late << " late messages");
   drops_at_last_warning_ = drops;
 }
 

@@ -9,7 +9,8 @@
 namespace xray_tracking
 {
 /// Registers the exposures of a sequence, one after the other, and carries from each to the next what helps there:
-/// where the rest of the body lies against the target, the last believed pose, what of the detectors' images is of use.
+/// where the rest of the body lies against the target, and the last believed pose. What of the detectors' images is of
+/// use, DetectorPixels finds beforehand.
 /// Without ROS; the same live and offline.
 ///
 /// Not thread-safe; what `registration` holds is shared, as it does not change.
@@ -28,8 +29,7 @@ public:
   /// @param stamp_ns of the exposure; nothing: the images belong to no sequence, and what comes of them says nothing of
   ///        the next exposure
   /// @param unverified who asks has nothing that confirms the start; else it is verified where it follows from a
-  /// believed
-  ///        pose of shortly before
+  ///        believed pose of shortly before
   /// @throws std::logic_error without a registration
   RegistrationResult run(RegistrationRequest request, std::optional<std::int64_t> stamp_ns, bool unverified);
 

@@ -61,7 +61,7 @@ private:
 
   std::map<std::string, DetectorCounts> detectors_;
   std::set<ros::Time> motions_;
-  ros::WallTime last_event_;   ///< start, or the last new answer
+  ros::WallTime last_event_;  ///< start, or the last new answer
   ros::WallTime last_print_;
   int exit_status_ = 1;
 

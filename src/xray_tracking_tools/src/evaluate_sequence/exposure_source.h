@@ -31,7 +31,7 @@ ExposureSource sequenceSource(const std::string& folder);
 
 /// Exposures of which every detector has an image; the gold standard is `patient_ground_truth`'s if every one has it.
 /// Geometry, CT and initial pose are the setup's.
-/// @throws std::runtime_error naming the bag and what is wrong: no bag, no exposure, a camera_info that differs from the
-/// setup
+/// @throws std::runtime_error naming the bag and what is wrong: no bag, no exposure, a camera_info that differs from
+/// the setup
 ExposureSource bagSource(const std::string& bag_path, const std::string& setup_path);
 }  // namespace xray_tracking

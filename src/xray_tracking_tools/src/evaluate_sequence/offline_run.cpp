@@ -8,7 +8,6 @@ namespace xray_tracking
 {
 namespace
 {
-constexpr int kPaperPoints = 600;
 constexpr double kTimeBudget = 600.0;  // [s]: nothing waits, and a result is not to hang on the machine
 
 MotionMonitorOptions monitorOptions(const TreatmentSetup& setup, PoseMethod method, bool paper)
@@ -35,13 +34,18 @@ std::unique_ptr<ViewTracker> makeTracker(const TreatmentSetup& setup, const Proj
 {
   TrackerParameters parameters;
   parameters.detector = detector.name();
+  parameters.adopt(setup);
   if (paper)
   {
+    // Single pixels at random places, predictors alone, white noise; ranges in pixels.
     parameters.model_by_data = false;
     parameters.tracker.model = MotionModel::TRANSLATION;
-    parameters.tracker.points = kPaperPoints;
+    parameters.tracker.points = 600;
+    parameters.tracker.bin = 1;
+    parameters.tracker.whole_region = false;
+    parameters.tracker.background = 0.0;
+    parameters.tracker.ranges = { 30.0, 12.0, 4.0, 1.5 };
   }
-  parameters.adopt(setup);
   parameters.validate();
   return std::make_unique<ViewTracker>(std::make_unique<HyperplaneTracker>(parameters.tracker, setup.intensity),
                                        setup.intensity, parameters.tracker.reduction, parameters.tracker.model,

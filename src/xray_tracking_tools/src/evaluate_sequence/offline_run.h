@@ -23,7 +23,8 @@ class OfflineRun
 {
 public:
   /// @param registration null for a method that needs none
-  /// @param paper as published: 600 points, translations, eqs. (2) to (8); method TRACKING
+  /// @param paper as published: 600 single pixels, the predictors' steps alone, translations, eqs. (2) to (8); of
+  /// method TRACKING
   /// @throws std::invalid_argument for a region or geometry that is of no use
   OfflineRun(const TreatmentSetup& setup, PoseMethod method, std::shared_ptr<const Registration> registration,
              bool paper);

@@ -10,8 +10,8 @@
 
 namespace xray_tracking
 {
-/// Registration of every exposure as it was published: the whole CT as one body, line integrals of an attenuation field,
-/// normalised mutual information, from the last exposure's pose on. It believes all that it finds.
+/// Registration of every exposure as it was published: the whole CT as one body, line integrals of an attenuation
+/// field, normalised mutual information, from the last exposure's pose on. It believes all that it finds.
 class PaperRegistration
 {
 public:
