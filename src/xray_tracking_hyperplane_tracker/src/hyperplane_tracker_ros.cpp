@@ -22,8 +22,6 @@ void apply(const xray_tracking_hyperplane_tracker::HyperplaneTrackerConfig& conf
   parameters.tracker.found_correlation = config.found_correlation;
   parameters.tracker.min_quality = config.min_quality;
   parameters.tracker.good_quality = config.good_quality;
-  parameters.registration.min_correlation = config.registration_min_correlation;
-  parameters.registration.found_correlation = config.registration_found_correlation;
   parameters.max_wait = config.max_wait;
   parameters.train_timeout = config.train_timeout;
   parameters.image_timeout = config.image_timeout;

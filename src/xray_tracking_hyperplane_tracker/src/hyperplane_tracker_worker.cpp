@@ -133,20 +133,9 @@ void HyperplaneTrackerRos::configure()
 
 void HyperplaneTrackerRos::makeTracker()
 {
-  std::unique_ptr<RegionTracker> tracker;
-  if (parameters_.method == TrackingMethod::HYPERPLANE)
-  {
-    auto hyperplane = std::make_unique<HyperplaneTracker>(parameters_.tracker, intensity_);
-    hyperplane_ = hyperplane.get();
-    tracker = std::move(hyperplane);
-  }
-  else
-  {
-    auto registration = std::make_unique<TemplateRegistration>(parameters_.registration, intensity_);
-    registration_ = registration.get();
-    tracker = std::move(registration);
-  }
-  tracker_.emplace(std::move(tracker), intensity_, parameters_.tracker.reduction, parameters_.tracker.model,
+  auto hyperplane = std::make_unique<HyperplaneTracker>(parameters_.tracker, intensity_);
+  hyperplane_ = hyperplane.get();
+  tracker_.emplace(std::move(hyperplane), intensity_, parameters_.tracker.reduction, parameters_.tracker.model,
                    parameters_.model_by_data, parameters_.region);
 }
 
@@ -158,10 +147,6 @@ void HyperplaneTrackerRos::adoptSettings()
     if (hyperplane_ != nullptr)
     {
       hyperplane_->setThresholds(parameters_.tracker);
-    }
-    if (registration_ != nullptr)
-    {
-      registration_->setThresholds(parameters_.registration);
     }
   }
 }

@@ -25,28 +25,17 @@ cv::Rect readRegion(const ros::NodeHandle& pnh, ParameterReader& reader)
   return { read("x_offset"), read("y_offset"), read("width"), read("height") };
 }
 
-template <typename Value>
-Value named(const std::string& key, const std::string& name, const std::map<std::string, Value>& values)
+MotionModel modelNamed(const std::string& name)
 {
-  const auto found = values.find(name);
-  std::string expected;
-  for (const auto& value : values)
-  {
-    expected += (expected.empty() ? "" : " or ") + value.first;
-  }
-  requireOption(found != values.end(), key, name, expected);
+  static const std::map<std::string, MotionModel> kModels = { { "auto", MotionModel::EUCLIDEAN },
+                                                              { "translation", MotionModel::TRANSLATION },
+                                                              { "euclidean", MotionModel::EUCLIDEAN },
+                                                              { "similarity", MotionModel::SIMILARITY },
+                                                              { "affine", MotionModel::AFFINE } };
+  const auto found = kModels.find(name);
+  requireOption(found != kModels.end(), "model", name, "auto, translation, euclidean, similarity or affine");
   return found->second;
 }
-
-const std::map<std::string, MotionModel> kModels = { { "auto", MotionModel::EUCLIDEAN },
-                                                     { "translation", MotionModel::TRANSLATION },
-                                                     { "euclidean", MotionModel::EUCLIDEAN },
-                                                     { "similarity", MotionModel::SIMILARITY },
-                                                     { "affine", MotionModel::AFFINE } };
-const std::map<std::string, TrackingMethod> kMethods = { { "hyperplane", TrackingMethod::HYPERPLANE },
-                                                         { "nmi", TrackingMethod::NMI },
-                                                         { "gradient_correlation",
-                                                           TrackingMethod::GRADIENT_CORRELATION } };
 }  // namespace
 
 void TrackerParameters::scaleTo(double pixel)
@@ -60,7 +49,6 @@ void TrackerParameters::scaleTo(double pixel)
   }
   tracker.convergence = convergence / unit;
   tracker.max_predicted_sd = max_predicted_sd / unit;
-  registration.range = std::clamp(registration_range / pixel, 1.0, 200.0);
 }
 
 void TrackerParameters::adopt(const TreatmentSetup& setup)
@@ -95,16 +83,7 @@ void TrackerParameters::validate() const
   }
   require_length("convergence", convergence, 10.0);
   require_length("max_predicted_sd", max_predicted_sd, 100.0);
-  require_length("registration_range", registration_range, 50.0);
   tracker.validate();
-  try
-  {
-    registration.validate();
-  }
-  catch (const std::invalid_argument& error)
-  {
-    throw std::invalid_argument(std::string("registration_") + error.what());
-  }
   requireInRange("queue_size", queue_size, 1, 1000);
   requireInRange("max_wait", max_wait, 0.0, 3600.0);
   requireInRange("train_timeout", train_timeout, 0.01, 3600.0);
@@ -116,8 +95,6 @@ TrackerParameters readTrackerParameters(const ros::NodeHandle& pnh, const std::s
   ParameterReader reader(pnh);
   TrackerParameters parameters;
   HyperplaneTrackerOptions& tracker = parameters.tracker;
-  TemplateRegistrationOptions& registration = parameters.registration;
-  const std::string method = reader.read("method", std::string("hyperplane"));
   const std::string model = reader.read("model", std::string("auto"));
   tracker.points = reader.read("points", tracker.points);
   tracker.bin = reader.read("bin", tracker.bin);
@@ -135,10 +112,6 @@ TrackerParameters readTrackerParameters(const ros::NodeHandle& pnh, const std::s
   tracker.min_quality = reader.read("min_quality", tracker.min_quality);
   tracker.good_quality = reader.read("good_quality", tracker.good_quality);
   parameters.max_predicted_sd = reader.read("max_predicted_sd", parameters.max_predicted_sd);
-  registration.bins = reader.read("registration_bins", registration.bins);
-  parameters.registration_range = reader.read("registration_range", parameters.registration_range);
-  registration.min_correlation = reader.read("registration_min_correlation", registration.min_correlation);
-  registration.found_correlation = reader.read("registration_found_correlation", registration.found_correlation);
   const int seed = reader.read("seed", static_cast<int>(tracker.seed));
   parameters.detector = reader.read("detector", default_detector);
   parameters.setup_file = reader.read("setup_file", parameters.setup_file);
@@ -153,18 +126,8 @@ TrackerParameters readTrackerParameters(const ros::NodeHandle& pnh, const std::s
   parameters.overlay_points = reader.read("overlay_points", parameters.overlay_points);
   reader.warnOfUnread();
 
-  parameters.method = named("method", method, kMethods);
-  tracker.model = named("model", model, kModels);
+  tracker.model = modelNamed(model);
   parameters.model_by_data = model == "auto";
-  if (parameters.method != TrackingMethod::HYPERPLANE)
-  {
-    requireOption(tracker.model == MotionModel::TRANSLATION || tracker.model == MotionModel::EUCLIDEAN, "model", model,
-                  "auto, translation or euclidean where the method is " + method);
-    registration.model = tracker.model;
-  }
-  registration.similarity = parameters.method == TrackingMethod::GRADIENT_CORRELATION
-                                ? TemplateRegistrationOptions::Similarity::GRADIENT_CORRELATION
-                                : TemplateRegistrationOptions::Similarity::NORMALISED_MUTUAL_INFORMATION;
   requireOption(seed >= 0, "seed", seed, "0 or more");
   tracker.seed = static_cast<std::uint32_t>(seed);
   parameters.scaleTo(parameters.resolution);

@@ -7,7 +7,6 @@
 #include "spine_field.h"
 #include "synthetic_exposure.h"
 #include "xray_tracking_hyperplane_tracker/hyperplane_tracker.h"
-#include "xray_tracking_hyperplane_tracker/template_registration.h"
 
 namespace xray_tracking
 {
@@ -15,10 +14,9 @@ namespace
 {
 constexpr double kNoise = 0.01;  // 10,000 quanta a pixel
 
-template <typename Tracker, typename Options>
-RecoveringTracker makeTracker(const Options& options = {})
+RecoveringTracker makeTracker(const HyperplaneTrackerOptions& options = {})
 {
-  return RecoveringTracker(std::make_unique<Tracker>(options), {});
+  return RecoveringTracker(std::make_unique<HyperplaneTracker>(options), {});
 }
 
 void expectAt(RecoveringTracker& tracker, const cv::Mat& image, const Eigen::Vector2d& displacement)
@@ -42,7 +40,7 @@ cv::Mat exposeTwice(const SpineField& spine)
 TEST(RecoveringTracker, findsTheRegionAnywhereAfterALoss)
 {
   const SpineField spine(0.5);
-  auto tracker = makeTracker<HyperplaneTracker, HyperplaneTrackerOptions>();
+  auto tracker = makeTracker();
   tracker.train(spine.expose({ 0.0, 0.0 }, kNoise, 0), kRegion);
   std::uint32_t seed = 1;
   // By one or two vertebrae: a neighbour is where the region was last.
@@ -61,7 +59,7 @@ TEST(RecoveringTracker, findsTheRegionAnywhereAfterALoss)
 TEST(RecoveringTracker, followsNoTwinOnceLost)
 {
   const SpineField twins(0.0);
-  auto tracker = makeTracker<HyperplaneTracker, HyperplaneTrackerOptions>();
+  auto tracker = makeTracker();
   tracker.train(twins.expose({ 0.0, 0.0 }, kNoise, 0), kRegion);
   EXPECT_FALSE(tracker.track(kNothing).found());
   for (std::uint32_t seed = 1; seed < 6; ++seed)
@@ -73,7 +71,7 @@ TEST(RecoveringTracker, followsNoTwinOnceLost)
 TEST(RecoveringTracker, followsNoNeighbourWhileTheRegionIsOutside)
 {
   const SpineField spine(1.0);
-  auto tracker = makeTracker<HyperplaneTracker, HyperplaneTrackerOptions>();
+  auto tracker = makeTracker();
   tracker.train(spine.expose({ 0.0, 0.0 }, kNoise, 0), kRegion);
   std::uint32_t seed = 1;
   for (const double outside : { -7.0, -5.0, 5.3, 6.5 })
@@ -90,7 +88,7 @@ TEST(RecoveringTracker, isFoundAgainThoughOnlyTheTemplatesExposureWasTracked)
 {
   const SpineField spine(1.0);
   const cv::Mat reference = spine.expose({ 0.0, 0.0 }, kNoise, 0);
-  auto tracker = makeTracker<HyperplaneTracker, HyperplaneTrackerOptions>();
+  auto tracker = makeTracker();
   tracker.train(reference, kRegion);
   for (int i = 0; i < 5; ++i)
   {
@@ -107,14 +105,14 @@ TEST(RecoveringTracker, isLostUntilItIsFoundByItsOwnThreshold)
   // The region in noise that lets it be followed, but not found again.
   const SpineField spine(2.0);
   const cv::Mat noisy = spine.expose({ 0.0, 0.0 }, 3.0 * kNoise, 1);
-  auto probe = makeTracker<HyperplaneTracker, HyperplaneTrackerOptions>();
+  auto probe = makeTracker();
   probe.train(spine.expose({ 0.0, 0.0 }, kNoise, 0), kRegion);
   const double correlation = probe.track(noisy).correlation;
   HyperplaneTrackerOptions options;
   options.min_correlation = correlation - 0.1;
   options.found_correlation = correlation + 0.02;
 
-  auto tracker = makeTracker<HyperplaneTracker, HyperplaneTrackerOptions>(options);
+  auto tracker = makeTracker(options);
   tracker.train(spine.expose({ 0.0, 0.0 }, kNoise, 0), kRegion);
   EXPECT_TRUE(tracker.track(noisy).found());
   EXPECT_FALSE(tracker.track(kNothing).found());
@@ -125,24 +123,11 @@ TEST(RecoveringTracker, isLostUntilItIsFoundByItsOwnThreshold)
   expectAt(tracker, spine.expose({ 1.0, 2.0 }, kNoise, 2), { 1.0, 2.0 });
 }
 
-TEST(RecoveringTracker, servesOtherMethods)
-{
-  const cv::Rect region(70, 55, 100, 90);
-  auto tracker = makeTracker<TemplateRegistration, TemplateRegistrationOptions>();
-  tracker.train(expose({}), region);
-  EXPECT_FALSE(tracker.track(cv::Mat::zeros(exposureSize(), CV_16UC1)).found());
-  // Farther than its range.
-  Exposure exposure;
-  exposure.displacement = { -58.0, 35.0 };
-  exposure.noise = 0.01;
-  expectAt(tracker, expose(exposure), exposure.displacement);
-}
-
 TEST(RecoveringTracker, forgetsThatItWasLostWhenItLearnsAnew)
 {
   const SpineField twins(0.0);
   const cv::Mat reference = twins.expose({ 0.0, 0.0 }, kNoise, 0);
-  auto tracker = makeTracker<HyperplaneTracker, HyperplaneTrackerOptions>();
+  auto tracker = makeTracker();
   tracker.train(reference, kRegion);
   EXPECT_FALSE(tracker.track(kNothing).found());
   tracker.train(reference, kRegion);

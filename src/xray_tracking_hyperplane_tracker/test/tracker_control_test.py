@@ -1,5 +1,5 @@
 #!/usr/bin/python3
-"""What a person does to a tracker, and what it does in trouble: services, live settings, methods, loss, overload."""
+"""What a person does to a tracker, and what it does in trouble: services, live settings, loss, overload."""
 
 import rospy
 import rostest
@@ -24,9 +24,10 @@ class TrackerControlTest(TrackerTestCase):
     def test_goes_on_with_the_newest_when_it_is_too_slow(self):
         detector = self.connect("too_slow")
         reference, _ = self.show(detector, exposure())
-        image = exposure(3.0, -2.0, seed=1)
-        stamps = [self.stamp() for _ in range(15)]
-        for stamp in stamps:
+        # A region that is lost takes many times as long: it is looked for in the whole image.
+        images = 14 * [turned()] + [exposure(3.0, -2.0, seed=1)]
+        stamps = [self.stamp() for _ in images]
+        for stamp, image in zip(stamps, images):
             detector.send(stamp, image)
         answers = [detector.answer()]
         while answers[-1].header.stamp != rospy.Time.from_sec(stamps[-1]):
@@ -47,24 +48,6 @@ class TrackerControlTest(TrackerTestCase):
         self.assertTrue(detector.answers.empty())
         self.judge(detector.answer(), reference, reference, (0.0, 0.0))
         self.expect_value("slow_training", "state", "tracking")
-
-    def test_other_methods_track_as_well(self):
-        for name, model in (("by_nmi", TrackedRegion.TRANSLATION),
-                            ("by_gradient_correlation", TrackedRegion.EUCLIDEAN)):
-            detector = self.connect(name)
-            reference, answer = self.show(detector, exposure())
-            self.assertEqual(answer.state, TrackedRegion.TRACKING)
-            for k, truth in enumerate(self.truth[:8]):
-                _, answer = self.show(detector, exposure(*truth, seed=k + 1))
-                self.assertEqual((answer.state, answer.model), (TrackedRegion.TRACKING, model))
-                self.assertEqual(answer.reference_stamp, rospy.Time.from_sec(reference))
-                self.assertAlmostEqual(answer.displacement_x, truth[0], delta=TOLERANCE)
-                self.assertAlmostEqual(answer.displacement_y, truth[1], delta=TOLERANCE)
-                self.assertAlmostEqual(answer.linear[0], 1.0, delta=1e-3)
-            response = rospy.ServiceProxy(name + "/retrain", Trigger)
-            outcome, _ = self.call_among_exposures(detector, exposure, response)
-            self.assertFalse(outcome.success)
-            self.assertIn("does not learn", outcome.message)
 
     def test_finds_the_region_again_anywhere_but_nothing_else(self):
         detector = self.connect("parameter_region")
@@ -199,8 +182,7 @@ class TrackerControlTest(TrackerTestCase):
         self.assertIn("lost", outcome.message)
 
     def test_faulty_settings_leave_exposures_untrained(self):
-        for name, parts in (("unknown_method", ["method is magic", "nmi"]),
-                            ("model_of_another_method", ["model is affine", "euclidean"]),
+        for name, parts in (("unknown_model", ["model is magic", "euclidean"]),
                             ("contradiction", ["found_correlation is 0.8", "0.9"])):
             detector = self.connect(name)
             stamp, answer = self.show(detector, exposure())

@@ -10,7 +10,6 @@
 
 #include "synthetic_exposure.h"
 #include "xray_tracking_hyperplane_tracker/hyperplane_tracker.h"
-#include "xray_tracking_hyperplane_tracker/template_registration.h"
 
 namespace xray_tracking
 {
@@ -227,15 +226,6 @@ TEST_F(ViewTrackerTest, anotherRunLearnsTheSameRegionAnew)
   tracker_.startAnew();
   expectTracked(show({ 5.0, 5.0 }), 3, kOther, { 0.0, 0.0 });
   expectTracked(show({ 6.0, 4.0 }), 3, kOther, { 1.0, -1.0 });
-}
-
-TEST(ViewTrackerOfTemplateRegistrationTest, saysThatItLearnsNothingAgain)
-{
-  ViewTracker tracker(std::make_unique<TemplateRegistration>(TemplateRegistrationOptions(), kCounts), kCounts, 1,
-                      MotionModel::TRANSLATION, false, kRegion);
-  const cv::Mat image = exposeAt({ 0.0, 0.0 }, 1);
-  EXPECT_EQ(State::TRACKING, tracker.answer(image, 1, Training{ Kind::AGAIN, {} }).state);
-  EXPECT_NE(std::string::npos, tracker.learn(image).find("does not learn"));
 }
 }  // namespace
 }  // namespace xray_tracking

@@ -132,10 +132,9 @@ int main(int argc, char** argv)
   xray_tracking::CommandLine command_line;
   command_line.usage = "[--sequences DIR ...] [--json FILE]";
   command_line.description =
-      "The tracker beside OpenCV's and (if the build has it) ViSP's: times, errors, lost exposures and capture ranges "
-      "on "
-      "a\n"
-      "region of the neck phantom with exactly known motion, on the phantom's exposures and on sequences.";
+      "The tracker beside 2D registration of its template, OpenCV's and (if the build has it) ViSP's trackers: times,\n"
+      "errors, lost exposures and capture ranges on a region of the neck phantom with exactly known motion, on the\n"
+      "phantom's exposures and on sequences.";
   command_line.options.add_options()("sequences", po::value<std::vector<std::string>>()->multitoken(),
                                      "folders of sequences with a gold standard")("json", po::value<std::string>(),
                                                                                   "writes the figures to this file");

@@ -128,10 +128,9 @@ private:
   // The worker's.
   TrackerParameters parameters_;
   IntensityModel intensity_;
-  std::optional<ViewTracker> tracker_;            ///< none: the configuration is faulty
-  HyperplaneTracker* hyperplane_ = nullptr;       ///< the tracker's, if that is the method
-  TemplateRegistration* registration_ = nullptr;  ///< else this one
-  sensor_msgs::ImageConstPtr reference_;          ///< that the template was trained on
+  std::optional<ViewTracker> tracker_;       ///< none: the configuration is faulty
+  HyperplaneTracker* hyperplane_ = nullptr;  ///< the tracker's, for its thresholds
+  sensor_msgs::ImageConstPtr reference_;     ///< that the template was trained on
   ros::SteadyTime training_end_;
   StampPolicy stamps_;
   std::string logged_error_;

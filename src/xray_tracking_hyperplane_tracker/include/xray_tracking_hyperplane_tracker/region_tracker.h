@@ -62,10 +62,10 @@ public:
 
   /// Learns anew, from an image in which the region is found, what may be learnt from more than the first; the
   /// displacement goes on. @return whether the region was found; else nothing is learnt
-  /// @throws std::logic_error where the method has nothing of the kind
+  /// @throws std::logic_error where the tracker has nothing of the kind
   virtual bool retrain(const cv::Mat& /*image*/)
   {
-    throw std::logic_error("the method does not learn from more than the first exposure");
+    throw std::logic_error("the tracker does not learn from more than the first exposure");
   }
 
   /// Forgets the template.

@@ -9,33 +9,21 @@
 
 #include "xray_tracking_core/sequence/treatment_setup.h"
 #include "xray_tracking_hyperplane_tracker/hyperplane_tracker.h"
-#include "xray_tracking_hyperplane_tracker/template_registration.h"
 
 namespace xray_tracking
 {
-/// How a region is followed.
-enum class TrackingMethod
-{
-  HYPERPLANE,           ///< HyperplaneTracker
-  NMI,                  ///< TemplateRegistration, by normalised mutual information
-  GRADIENT_CORRELATION  ///< TemplateRegistration
-};
-
 /// The parameters of the node (README.md).
 struct TrackerParameters
 {
   TrackerParameters() { tracker.model = MotionModel::EUCLIDEAN; }  // of model `auto`
 
-  TrackingMethod method = TrackingMethod::HYPERPLANE;
-  bool model_by_data = true;                 ///< model `auto`: EUCLIDEAN where it tells a rotation, else TRANSLATION
-  HyperplaneTrackerOptions tracker;          ///< lengths, and reduction, as of scaleTo()
-  TemplateRegistrationOptions registration;  ///< the same
+  bool model_by_data = true;         ///< model `auto`: EUCLIDEAN where it tells a rotation, else TRANSLATION
+  HyperplaneTrackerOptions tracker;  ///< lengths, and reduction, as of scaleTo()
   /// Lengths at the target [mm]: of pixels that the tracker works on, about, and what is in pixels in its options.
   double resolution = 0.25;
   std::vector<double> ranges{ 10.8, 4.3, 1.35 };
   double convergence = 0.0135;
   double max_predicted_sd = 0.08;
-  double registration_range = 8.0;
   std::string detector;            ///< name in the setup file
   std::string setup_file;          ///< path; empty: none
   std::optional<cv::Rect> region;  ///< [px], goes before what the setup file says
@@ -45,7 +33,7 @@ struct TrackerParameters
   double image_timeout = 2.0;      ///< without an exposure after which diagnostics say so [s]
   bool overlay_points = true;      ///< whether the debug image shows residuals
 
-  /// Sets the trackers' options to these lengths. @param pixel size of the detector's pixels at the target [mm]
+  /// Sets the tracker's options to these lengths. @param pixel size of the detector's pixels at the target [mm]
   void scaleTo(double pixel);
 
   /// Takes the scale of lengths, and the region if there is none, from the setup's `detector`.

@@ -1,6 +1,6 @@
 #include "contestant.h"
+#include "template_registration.h"
 #include "xray_tracking_hyperplane_tracker/hyperplane_tracker.h"
-#include "xray_tracking_hyperplane_tracker/template_registration.h"
 
 namespace xray_tracking
 {

@@ -1,7 +1,8 @@
-#include "xray_tracking_hyperplane_tracker/template_registration.h"
+#include "template_registration.h"
 
 #include <cmath>
 #include <functional>
+#include <memory>
 #include <random>
 #include <string>
 
@@ -10,6 +11,8 @@
 #include <Eigen/LU>
 
 #include "synthetic_exposure.h"
+#include "xray_tracking_hyperplane_tracker/recovering_tracker.h"
+#include "xray_tracking_hyperplane_tracker/view_tracker.h"
 
 namespace xray_tracking
 {
@@ -185,6 +188,31 @@ INSTANTIATE_TEST_SUITE_P(Similarities, TemplateRegistrationTest,
                            return tested.param == Similarity::GRADIENT_CORRELATION ? "GradientCorrelation"
                                                                                    : "MutualInformation";
                          });
+
+// RegionTracker is a seam: what follows a region live works with another tracker than the one it was made for.
+TEST(TemplateRegistration, isRecoveredFarBeyondItsRange)
+{
+  RecoveringTracker tracker(std::make_unique<TemplateRegistration>(TemplateRegistrationOptions()), {});
+  tracker.train(expose({}), kRegion);
+  EXPECT_FALSE(tracker.track(cv::Mat::zeros(exposureSize(), CV_16UC1)).found());
+  Exposure exposure;
+  exposure.displacement = { -58.0, 35.0 };
+  exposure.noise = 0.01;
+  const TrackResult& result = tracker.track(expose(exposure));
+  ASSERT_TRUE(result.found());
+  EXPECT_LT((result.displacement - exposure.displacement).norm(), 0.3) << result.displacement.transpose();
+}
+
+TEST(TemplateRegistration, saysThatItLearnsNothingAgain)
+{
+  ViewTracker tracker(std::make_unique<TemplateRegistration>(TemplateRegistrationOptions(), counts()), counts(), 1,
+                      MotionModel::TRANSLATION, false, kRegion);
+  Exposure exposure;
+  exposure.noise = 0.01;
+  const cv::Mat image = expose(exposure);
+  EXPECT_EQ(tracker.answer(image, 1, Training{ Training::Kind::AGAIN, {} }).state, ViewAnswer::State::TRACKING);
+  EXPECT_NE(tracker.learn(image).find("does not learn"), std::string::npos);
+}
 
 TEST(TemplateRegistrationOptions, namesWhatIsWrong)
 {

@@ -1,4 +1,4 @@
-#include "../src/image_similarity.h"
+#include "image_similarity.h"
 
 #include <cmath>
 

@@ -37,8 +37,8 @@ struct TemplateRegistrationOptions
 };
 
 /// Follows a region by intensity-based registration of its template to each image: the motion of greatest similarity,
-/// over all of the region's pixels. Slower than HyperplaneTracker by orders of magnitude and without any training;
-/// a check on its results, or its stand-in where grey values have changed in ways that no gain explains.
+/// over all of the region's pixels. Slower than HyperplaneTracker by orders of magnitude and without any training:
+/// something to compare it with.
 ///
 /// Values: attenuation, smoothed, without what is slow (the mean over a box of 17 px): soft tissue moves otherwise than
 /// bone, and the sharper what is left, the less it draws the answer away. Coarse to fine, pixels binned by 4 and 2: on
@@ -66,10 +66,6 @@ public:
   const TrackResult& trackFrom(const cv::Mat& image, const Eigen::Vector2d& displacement) override;
   void setLost() override { lost_ = true; }
   const TrackResult& result() const override { return result_; }
-
-  /// From now on judges by these min_correlation and found_correlation; all else stays.
-  /// @throws std::invalid_argument, see TemplateRegistrationOptions::validate
-  void setThresholds(const TemplateRegistrationOptions& options);
 
 private:
   struct Template;

@@ -1,20 +1,18 @@
-#include "xray_tracking_hyperplane_tracker/template_registration.h"
+#include "template_registration.h"
 
 #include <algorithm>
 #include <array>
 #include <cmath>
 #include <limits>
 #include <stdexcept>
+#include <string>
 
 #include <Eigen/Geometry>
 #include <Eigen/LU>
 #include <opencv2/core/optim.hpp>
 
 #include "binned_image.h"
-#include "contrast.h"
-#include "image_check.h"
 #include "image_similarity.h"
-#include "point_sampler.h"
 #include "xray_tracking_core/option_check.h"
 
 namespace xray_tracking
@@ -43,6 +41,33 @@ cv::Rect grown(const cv::Rect& rect, int margin)
 Eigen::Vector2d centreOf(const cv::Rect& region)
 {
   return { region.x + (region.width - 1) / 2.0, region.y + (region.height - 1) / 2.0 };
+}
+
+std::string described(const cv::Size& size, int type)
+{
+  return std::to_string(size.width) + " x " + std::to_string(size.height) + " of OpenCV's type " + std::to_string(type);
+}
+
+std::string described(const cv::Rect& region)
+{
+  return "region: " + std::to_string(region.width) + " x " + std::to_string(region.height) + " at (" +
+         std::to_string(region.x) + ", " + std::to_string(region.y) + ")";
+}
+
+/// As RegionTracker::train asks for.
+void requireUsable(const cv::Mat& image, const cv::Rect& region)
+{
+  constexpr int kMinSize = 16;
+  if (image.type() != CV_8UC1 && image.type() != CV_16UC1)
+  {
+    throw std::invalid_argument("image: is " + described(image.size(), image.type()) +
+                                ", expected CV_8UC1 or CV_16UC1");
+  }
+  if (std::min(region.width, region.height) < kMinSize || (region & cv::Rect(cv::Point(), image.size())) != region)
+  {
+    throw std::invalid_argument(described(region) + " in an image of " + described(image.size(), image.type()) +
+                                ", expected inside and " + std::to_string(kMinSize) + " px or more both ways");
+  }
 }
 
 /// Root mean square distance of the region's points from its centre [px].
@@ -222,13 +247,6 @@ TemplateRegistration::~TemplateRegistration() = default;
 TemplateRegistration::TemplateRegistration(TemplateRegistration&&) noexcept = default;
 TemplateRegistration& TemplateRegistration::operator=(TemplateRegistration&&) noexcept = default;
 
-void TemplateRegistration::setThresholds(const TemplateRegistrationOptions& options)
-{
-  options.validate();
-  options_.min_correlation = options.min_correlation;
-  options_.found_correlation = options.found_correlation;
-}
-
 void TemplateRegistration::reset()
 {
   template_.reset();
@@ -241,15 +259,14 @@ cv::Rect TemplateRegistration::region() const
 
 void TemplateRegistration::train(const cv::Mat& image, const cv::Rect& region)
 {
-  checkImage(image);
-  requireRegionInside(region, image.size());
+  requireUsable(image, region);
   const cv::Rect part = grown(region, kMargin) & cv::Rect(cv::Point(), image.size());
   const cv::Mat values = sharpPart(image, part, intensity_)(region - part.tl());
   cv::Scalar mean, deviation;
   cv::meanStdDev(values, mean, deviation);
   if (!(deviation[0] > 0.0))
   {
-    throw std::invalid_argument("region: " + describe(region) + " has no contrast");
+    throw std::invalid_argument(described(region) + " has no contrast");
   }
 
   auto learnt = std::make_unique<Template>();
@@ -291,7 +308,11 @@ const TrackResult& TemplateRegistration::registerFrom(const cv::Mat& image, cons
     throw std::logic_error("TemplateRegistration::track without a template");
   }
   const Template& t = *template_;
-  requireTemplatesKind(image, t.size, t.type);
+  if (image.size() != t.size || image.type() != t.type)
+  {
+    throw std::invalid_argument("image: is " + described(image.size(), image.type()) + ", expected " +
+                                described(t.size, t.type) + " as the template's image");
+  }
 
   result_ = TrackResult();
   result_.status = TrackResult::Status::OUT_OF_IMAGE;
