@@ -179,6 +179,10 @@ void MotionEstimationRos::start()
   for (std::size_t i = 0; i < detectors.size(); ++i)
   {
     views_[i].name = detectors[i];
+  }
+  // Callbacks of a nodelet may come in another thread from here on.
+  for (std::size_t i = 0; i < detectors.size(); ++i)
+  {
     subscribe(views_[i], i);
   }
 }
