@@ -116,7 +116,7 @@ void MotionMonitor::onReply(const RefinementReply& reply, std::int64_t now)
   {
     return;
   }
-  took_ = now - asked_;
+  took_ = { now - asked_, took_[0] };
   RefinementPolicy::Judgement judgement = refinement_.judge(reply);
   const bool of_current = current_ && current_->asked == reply.id;
   if (judgement.refinement)
@@ -325,7 +325,7 @@ void MotionMonitor::ask(std::int64_t now)
     return;
   }
   // Else it would make the next one late, too, and that one the one after it.
-  if (!waiting_.empty() && now + took_ > deadline())
+  if (!waiting_.empty() && now + std::min(took_[0], took_[1]) > deadline())
   {
     current_->due = false;
     current_->not_registered = "the registration is behind, and turns to a later exposure";

@@ -225,6 +225,22 @@ TEST_F(MonitorTest, ExposuresWaitBehindEachOtherAndComeInOrder)
   }
 }
 
+// The first answer of a run takes longer than those that follow: what waits behind it is asked about all the same.
+TEST_F(MonitorTest, OneSlowAnswerIsNoSlowRegistration)
+{
+  start();
+  for (int i = 0; i < 3; ++i)
+  {
+    expose({ 0.0, 0.0, 0.0 });
+    now -= kInterval;  // all at once, as trackers have learnt
+  }
+  now += kInterval;
+  const RefinementRequest first = request();
+  monitor->onReply(believed(first.id, Eigen::Vector3d::Zero()), now + 90 * kMillisecond);
+  expectPose(decision(), PoseSource::REGISTERED, { 0.0, 0.0, 0.0 }, kExact);
+  EXPECT_EQ(request().stamp, stamp - kInterval);
+}
+
 TEST_F(MonitorTest, ARegistrationThatHangsHoldsUpNothing)
 {
   options.refinement.timeout = 1.0;

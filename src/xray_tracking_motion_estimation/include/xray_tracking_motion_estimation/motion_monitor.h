@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <deque>
 #include <optional>
@@ -186,7 +187,8 @@ private:
   /// The exposure that was decided without its registration, whose answer may still come.
   std::optional<TrackedExposure> late_;
   std::int64_t asked_ = 0;  ///< when the last request went out, monotonic clock [ns]
-  std::int64_t took_ = 0;   ///< the last answer [ns]
+  /// What the last two answers took [ns]: a single one, as the first of a run, may be slow by itself.
+  std::array<std::int64_t, 2> took_{};
 
   std::string unconfirmed_;    ///< why no pose is believed before a refinement is accepted; empty if none is needed
   std::string contradiction_;  ///< of registration and tracks, until it is resolved; empty if there is none
