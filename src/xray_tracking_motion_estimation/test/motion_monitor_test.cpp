@@ -562,7 +562,8 @@ TEST_F(MonitorTest, ATrackedPoseIsCorrectedOnce)
   expectPose(decision(), PoseSource::TRACKED, { 1.5, 0.0, 0.0 }, 2e-3);
 }
 
-/// Tracks that count from the initial pose, which nothing has verified, are not verified by a registration without them.
+/// Tracks that count from the initial pose, which nothing has verified, are not verified by a registration without
+/// them.
 TEST_F(MonitorTest, TracksThatComeBackAreNotVerifiedByWhatWasFoundWithoutThem)
 {
   for (const bool late : { false, true })
