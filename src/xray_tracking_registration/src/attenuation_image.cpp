@@ -3,24 +3,59 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
-#include <limits>
+#include <functional>
+#include <numeric>
 #include <stdexcept>
 #include <string>
-
 namespace xray_tracking
 {
 namespace
 {
-template <typename Value, typename Map>
-cv::Mat mapped(const cv::Mat& image, const Map& map)
+/// One logarithm, that of the product, does for as many 16 bit counts as have a product below the largest float.
+constexpr int kFactors = 7;
+
+// Compiled for several processors, of which the loader takes the best that there is.
+#if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__)
+#define FOR_SEVERAL_PROCESSORS __attribute__((target_clones("avx512f", "avx2", "default")))
+#else
+#define FOR_SEVERAL_PROCESSORS
+#endif
+
+FOR_SEVERAL_PROCESSORS void toFloats(const std::uint8_t* from, int count, float* to)
 {
-  cv::Mat result(image.size(), CV_32FC1);
-  for (int row = 0; row < image.rows; ++row)
+  for (int n = 0; n < count; ++n)
   {
-    const Value* from = image.ptr<Value>(row);
-    std::transform(from, from + image.cols, result.ptr<float>(row), map);
+    to[n] = from[n];
   }
-  return result;
+}
+
+FOR_SEVERAL_PROCESSORS void toFloats(const std::uint16_t* from, int count, float* to)
+{
+  for (int n = 0; n < count; ++n)
+  {
+    to[n] = from[n];
+  }
+}
+
+/// Products with counts above an offset, 1 at least.
+FOR_SEVERAL_PROCESSORS void multiply(const float* values, float offset, int count, float* products)
+{
+  for (int n = 0; n < count; ++n)
+  {
+    const float above = values[n] - offset;
+    products[n] *= above > 1.0f ? above : 1.0f;
+  }
+}
+
+/// Puts `neutral` where a pixel is not used, and counts those that are.
+FOR_SEVERAL_PROCESSORS void leaveOut(const std::uint8_t* used, int count, float neutral, float* values, float* counts)
+{
+  for (int n = 0; n < count; ++n)
+  {
+    const float share = used[n] != 0 ? 1.0f : 0.0f;
+    values[n] = share * values[n] + (1.0f - share) * neutral;
+    counts[n] += share;
+  }
 }
 }  // namespace
 
@@ -39,52 +74,100 @@ AttenuationImage::AttenuationImage(const cv::Mat& image, const IntensityModel& i
   {
     return;
   }
-  double largest = std::numeric_limits<std::uint8_t>::max();
-  if (image.depth() != CV_8U || !intensity.air_counts)
-  {
-    cv::minMaxLoc(image, nullptr, &largest);
-  }
+  most_factors_ = image.depth() == CV_32F ? 1 : kFactors;
   offset_ = intensity.offset;
-  air_ = intensity.air_counts.value_or(largest);
+  if (intensity.air_counts)
+  {
+    air_ = *intensity.air_counts;
+  }
+  else
+  {
+    cv::minMaxLoc(image, nullptr, &air_);
+  }
   if (!(air_ > offset_))
   {
     throw std::invalid_argument("intensity: air counts are " + std::to_string(air_) +
                                 ": expected more than the offset " + std::to_string(offset_));
   }
-  if (image.depth() != CV_32F)
+}
+
+AttenuationBins AttenuationImage::bins(const cv::Rect& bins, int edge, const cv::Mat& usable) const
+{
+  const cv::Rect pixels(bins.tl() * edge, bins.size() * edge);
+  const int width = pixels.width;
+  const bool all = usable.empty() || cv::countNonZero(usable(pixels)) == pixels.area();
+  const auto offset = static_cast<float>(offset_);
+  const float neutral = counts_ ? offset + 1.0f : 0.0f;
+  const auto air = static_cast<float>(counts_ ? std::log(air_ - offset_) : 0.0);
+  AttenuationBins result{ cv::Mat(bins.size(), CV_32FC1), all ? cv::Mat() : cv::Mat(bins.size(), CV_32FC1) };
+  std::vector<float> values(width);
+  std::vector<float> products(width);
+  std::vector<float> sums(width);                              // of the pixels one below the other
+  std::vector<float> counts(width, static_cast<float>(edge));  // of those that are used
+  for (int row = 0; row < bins.height; ++row)
   {
-    // As many logarithms as there are values, not pixels.
-    table_.resize(static_cast<std::size_t>(largest) + 1);
-    for (std::size_t counts = 0; counts < table_.size(); ++counts)
+    std::fill(sums.begin(), sums.end(), 0.0f);
+    if (!all)
     {
-      table_[counts] = attenuationOf(static_cast<double>(counts));
+      std::fill(counts.begin(), counts.end(), 0.0f);
+    }
+    int factors = 0;
+    for (int y = 0; y < edge; ++y)
+    {
+      const int line = pixels.y + row * edge + y;
+      readLine(line, pixels.x, values);
+      if (!all)
+      {
+        leaveOut(usable.ptr<std::uint8_t>(line) + pixels.x, width, neutral, values.data(), counts.data());
+      }
+      if (!counts_)
+      {
+        std::transform(values.begin(), values.end(), sums.begin(), sums.begin(), std::plus<>());
+        continue;
+      }
+      if (factors == 0)
+      {
+        std::fill(products.begin(), products.end(), 1.0f);
+      }
+      multiply(values.data(), offset, width, products.data());
+      if (++factors == most_factors_ || y + 1 == edge)
+      {
+        cv::log(products, products);
+        std::transform(products.begin(), products.end(), sums.begin(), sums.begin(), std::plus<>());
+        factors = 0;
+      }
+    }
+    float* mean = result.mean.ptr<float>(row);
+    for (int bin = 0; bin < bins.width; ++bin)
+    {
+      const auto sum = [&](const std::vector<float>& of)
+      { return std::accumulate(of.begin() + bin * edge, of.begin() + (bin + 1) * edge, 0.0f); };
+      const float count = sum(counts);
+      const float average = sum(sums) / std::max(count, 1.0f);
+      mean[bin] = counts_ ? (count > 0.0f ? air - average : 0.0f) : average;
+      if (!all)
+      {
+        result.share.at<float>(row, bin) = count / static_cast<float>(edge * edge);
+      }
     }
   }
+  return result;
 }
 
-float AttenuationImage::attenuationOf(double counts) const
+void AttenuationImage::readLine(int row, int column, std::vector<float>& values) const
 {
-  return static_cast<float>(std::log((air_ - offset_) / std::max(counts - offset_, 1.0)));
-}
-
-cv::Mat AttenuationImage::operator()(const cv::Rect& part) const
-{
-  const cv::Mat image = image_(part);
-  if (!counts_)
-  {
-    cv::Mat attenuation;
-    image.convertTo(attenuation, CV_32F);
-    return attenuation;
-  }
-  const auto look_up = [this](std::size_t counts) { return table_[counts]; };
-  switch (image.depth())
+  const auto count = static_cast<int>(values.size());
+  switch (image_.depth())
   {
     case CV_8U:
-      return mapped<std::uint8_t>(image, look_up);
+      toFloats(image_.ptr<std::uint8_t>(row) + column, count, values.data());
+      break;
     case CV_16U:
-      return mapped<std::uint16_t>(image, look_up);
+      toFloats(image_.ptr<std::uint16_t>(row) + column, count, values.data());
+      break;
     default:
-      return mapped<float>(image, [this](float counts) { return attenuationOf(counts); });
+      std::copy_n(image_.ptr<float>(row) + column, count, values.data());
+      break;
   }
 }
 }  // namespace xray_tracking

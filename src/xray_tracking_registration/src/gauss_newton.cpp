@@ -20,7 +20,6 @@ constexpr int kMaxRejections = 2;
 /// Of the information's diagonal: with less, what is seen badly of the rest goes to and fro (knee_real; random starts
 /// of 0.3 mm and degrees there: 193 to 200 of 200 believed).
 constexpr double kLeastDamping = 1e-2;
-constexpr double kMaxSaturation = 3.0;
 /// What is known of a saturation before the images are seen: 0.2 within 0.5, from patients' trunks to metal.
 constexpr double kSaturationInformation = 4.0;
 
@@ -56,6 +55,40 @@ float scaleOf(const Eigen::VectorXf& model, const Eigen::VectorXf& image, const 
   return weighted.dot(image) / std::max(weighted.dot(model), 1e-12f);
 }
 
+/// Whether a step is so short that its image need not be rendered: what the first order lacks is of second order in a
+/// twentieth of the finest bins. The iterations then end with it.
+bool isSlight(const Eigen::VectorXd& twists, const PosePair& after, const PosePair& before)
+{
+  constexpr double kTranslation = 0.05;  // [mm]
+  constexpr double kRotation = 0.05 * M_PI / 180.0;
+  constexpr double kTimesForRest = 4.0;  // its edges are softer, and it is a nuisance
+  constexpr double kSaturation = 0.05;
+  for (Eigen::Index body = 0; body < twists.size() / 6; ++body)
+  {
+    const double times = body == 0 ? 1.0 : kTimesForRest;
+    if (twists.segment<3>(6 * body).norm() > times * kRotation ||
+        twists.segment<3>(6 * body + 3).norm() > times * kTranslation)
+    {
+      return false;
+    }
+  }
+  return std::equal(after.saturation.begin(), after.saturation.end(), before.saturation.begin(),
+                    [](double a, double b) { return std::abs(a - b) < kSaturation; });
+}
+
+/// Moves the models by a step, to first order.
+void moveModels(const std::vector<ViewLevel>& views, const Eigen::VectorXd& twists, const PosePair& after,
+                const PosePair& before, Linearisation& at)
+{
+  Eigen::VectorXf step(twists.size() + 1);
+  step.head(twists.size()) = twists.cast<float>();
+  for (std::size_t v = 0; v < views.size(); ++v)
+  {
+    step[twists.size()] = static_cast<float>(after.saturation[v] - before.saturation[v]);
+    views[v].move(step, at.models[v]);
+  }
+}
+
 /// Whether a step moves the target by next to nothing.
 bool isSmall(const Eigen::VectorXd& step)
 {
@@ -86,13 +119,18 @@ double Linearisation::cost(const std::vector<ViewLevel>& views, const std::vecto
   return sum;
 }
 
-Linearisation linearise(const std::vector<ViewLevel>& views, const Bodies& bodies, const PosePair& poses, Moving moving)
+Linearisation linearise(const std::vector<ViewLevel>& views, const Bodies& bodies, const PosePair& poses, Moving moving,
+                        const Linearisation* near)
 {
   Linearisation at{ std::vector<ViewModel>(views.size()), std::vector<Eigen::VectorXf>(views.size()) };
   tbb::parallel_for(std::size_t{ 0 }, views.size(),
                     [&](std::size_t v)
                     {
                       ViewModel& model = at.models[v];
+                      if (near != nullptr)
+                      {
+                        model.rendered = near->models[v].rendered;
+                      }
                       views[v].model(bodies, poses, poses.saturationOf(v), moving, model);
                       Eigen::VectorXf deformation = Eigen::VectorXf::Zero(model.image.size());
                       if (moving == Moving::BOTH)
@@ -209,10 +247,6 @@ Linearisation gaussNewton(const std::vector<ViewLevel>& views, const Bodies& bod
       {
         return best;
       }
-      if (isSmall(step) || step.dot(equations.gradient) < descent.min_gain * cost)
-      {
-        break;
-      }
       const Eigen::VectorXd twists = step.head(step.size() - static_cast<Eigen::Index>(views.size()));
       PosePair trial = moved(poses, twists, bodies.centre, moving);
       for (std::size_t v = 0; v < views.size(); ++v)
@@ -220,13 +254,24 @@ Linearisation gaussNewton(const std::vector<ViewLevel>& views, const Bodies& bod
         trial.saturation[v] =
             std::clamp(poses.saturation[v] + step[twists.size() + static_cast<Eigen::Index>(v)], 0.0, kMaxSaturation);
       }
-      if (control.inBounds(trial.target))
+      const bool in_bounds = control.inBounds(trial.target);
+      if (in_bounds && isSlight(twists, trial, poses))
+      {
+        moveModels(views, twists, trial, poses, best);
+        poses = trial;
+        return best;
+      }
+      if (isSmall(step) || step.dot(equations.gradient) < descent.min_gain * cost)
+      {
+        break;
+      }
+      if (in_bounds)
       {
         if (!control.mayRender(poses.target, best.meanSimilarity()))
         {
           return best;
         }
-        Linearisation there = linearise(views, bodies, trial, moving);
+        Linearisation there = linearise(views, bodies, trial, moving, &best);
         const double new_cost = there.cost(views, best.weights) + priorCost(trial);
         improved = new_cost < cost;
         if (improved)

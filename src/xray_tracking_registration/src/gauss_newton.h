@@ -32,8 +32,11 @@ struct RestPrior
 };
 
 /// Renders all views at a pose.
-Linearisation linearise(const std::vector<ViewLevel>& views, const Bodies& bodies, const PosePair& poses,
-                        Moving moving);
+/// @param near linearisation at a pose nearby, whose rendering of the rest is followed where that does; none: nothing
+/// is
+///        known
+Linearisation linearise(const std::vector<ViewLevel>& views, const Bodies& bodies, const PosePair& poses, Moving moving,
+                        const Linearisation* near = nullptr);
 
 /// Correlation coefficient of every view at a pose.
 std::vector<double> similarities(const std::vector<ViewLevel>& views, const Bodies& bodies, const PosePair& poses);

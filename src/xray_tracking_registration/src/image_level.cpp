@@ -7,7 +7,7 @@
 
 #include <opencv2/imgproc.hpp>
 
-#include "attenuation_bins.h"
+#include "xray_tracking_registration/attenuation_image.h"
 
 namespace xray_tracking
 {
@@ -60,7 +60,33 @@ constexpr double kUsableShare = 0.75;  // of a bin's pixels
 constexpr int kImage = kPixelRow - 1;  // which of a pixel's numbers the image is while it is high-passed
 constexpr int kSample = 1000;          // pixels, at least, where there are as many
 constexpr double kMinGain = 0.05;      // of a model that is not yet like the image
+
+// What the rest may move by and be followed to first order [mm], and how far what is compared is from the target's
+// centre, about [mm]: well below what is seen of it, voxels of 2 mm.
+constexpr double kFollowed = 0.4;
+constexpr double kReach = 50.0;
 }  // namespace
+
+bool RestRendering::reaches(const RigidTransform& other_room_from_rest) const
+{
+  if (line_integrals.empty())
+  {
+    return false;
+  }
+  const Twist twist = twistAbout(room_centre, other_room_from_rest * room_from_rest.inverse());
+  return twist.tail<3>().norm() + kReach * twist.head<3>().norm() < kFollowed;
+}
+
+cv::Mat RestRendering::at(const RigidTransform& other_room_from_rest) const
+{
+  using Derivatives = Eigen::Map<const Eigen::Matrix<float, Eigen::Dynamic, 6, Eigen::RowMajor>>;
+  const Twist twist = twistAbout(room_centre, other_room_from_rest * room_from_rest.inverse());
+  cv::Mat there = line_integrals.clone();
+  const auto count = static_cast<Eigen::Index>(there.total());
+  Eigen::Map<Eigen::VectorXf>(there.ptr<float>(), count) +=
+      Derivatives(derivatives.ptr<float>(), count, 6) * twist.cast<float>();
+  return there;
+}
 
 ViewLevel::ViewLevel(const ProjectionGeometry& geometry, const AttenuationImage& attenuation, const cv::Mat& usable,
                      const cv::Rect& region, const Resolution& resolution, const std::vector<PlacedEnds>& ends,
@@ -89,7 +115,7 @@ ViewLevel::ViewLevel(const ProjectionGeometry& geometry, const AttenuationImage&
   }
   const cv::Rect pixels(bordered.x * bin, bordered.y * bin, bordered.width * bin, bordered.height * bin);
   grid_ = PixelGrid::binnedRegion({ pixels.x, pixels.y }, { pixels.width, pixels.height }, bin);
-  const AttenuationBins image = attenuationBins(attenuation, usable, bordered, bin);
+  const AttenuationBins image = attenuation.bins(bordered, bin, usable);
   leaveOut(image.share, ends, least_share);
   measured_image_ = highPassed(image.mean).clone();
   measured_ = flattened(measured_image_);
@@ -205,16 +231,24 @@ void ViewLevel::model(const Bodies& bodies, const PosePair& poses, double satura
   std::array<cv::Mat, 2> derivatives;
   const Eigen::Vector3d centre = poses.target * bodies.centre;
   bodies.target->renderWithDerivatives(*geometry_, grid_, poses.target, centre, image, derivatives[0]);
-  cv::Mat& rest = model.rest;
-  if (moving != Moving::TARGET)
+  if (moving == Moving::TARGET)
   {
-    bodies.rest->renderWithDerivatives(*geometry_, grid_, poses.rest, centre, rest, derivatives[1]);
+    model.rest = cv::Mat();
+    bodies.rest->render(*geometry_, grid_, poses.rest, centre, model.rest);
   }
   else
   {
-    bodies.rest->render(*geometry_, grid_, poses.rest, centre, rest);
+    RestRendering& rendered = model.rendered;
+    if (!rendered.reaches(poses.rest))
+    {
+      rendered = { {}, {}, poses.rest, centre };
+      bodies.rest->renderWithDerivatives(*geometry_, grid_, poses.rest, centre, rendered.line_integrals,
+                                         rendered.derivatives);
+    }
+    model.rest = rendered.at(poses.rest);
+    derivatives[1] = rendered.derivatives;
   }
-  image += rest;
+  image += model.rest;
   if (moving == Moving::TOGETHER)
   {
     derivatives[0] += derivatives[1];
@@ -256,5 +290,21 @@ void ViewLevel::model(const Bodies& bodies, const PosePair& poses, double satura
   const auto gain = static_cast<float>(std::max(model.similarity, kMinGain));
   projectOut(model.image, valid_, gain / norm, model.derivatives);
   model.image *= gain;
+}
+
+void ViewLevel::move(const Eigen::VectorXf& step, ViewModel& model) const
+{
+  const float norm_before = model.image.norm();
+  const double similarity_before = std::max(model.similarity, kMinGain);
+  Eigen::VectorXf steps = Eigen::VectorXf::Zero(kPixelRow);
+  steps.head(step.size()) = step;
+  model.image += model.derivatives.matrix() * steps;
+  if (normalise(model.image) == 0.0f)
+  {
+    return;
+  }
+  model.similarity = measured_.dot(model.image);
+  // As much of the measured image as before, by what is more alike.
+  model.image *= norm_before * static_cast<float>(std::max(model.similarity, kMinGain) / similarity_before);
 }
 }  // namespace xray_tracking

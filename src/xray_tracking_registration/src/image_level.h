@@ -12,13 +12,9 @@
 
 namespace xray_tracking
 {
-/// What an attenuation of 1 is short of by scatter, hardening and glare where nothing is known yet: see PosePair.
-constexpr double kUsualSaturation = 0.2;
-
 /// Poses of the two bodies: room_from_patient of each; and how the views' attenuation saturates.
 ///
-/// Scatter, beam hardening and glare make of the line integral L what is measured as (1 - exp(-k L)) / k, with the
-/// saturation k of the view: 0 for an ideal beam, 0.1 to 0.3 for a patient's trunk, 1 and more for metal.
+/// What the saturation k is: RegistrationView::saturation.
 struct PosePair
 {
   PosePair(const RigidTransform& room_from_target, const RigidTransform& room_from_rest)
@@ -49,6 +45,21 @@ struct Resolution
   double highpass_mm;  ///< standard deviation of the Gaussian that is taken away
 };
 
+/// The rest of the body as it was last rendered, to be followed from there to first order. Never written to again, as
+/// models share it.
+struct RestRendering
+{
+  cv::Mat line_integrals;  ///< empty if there is none
+  cv::Mat derivatives;     ///< by twists about `room_centre`
+  RigidTransform room_from_rest = RigidTransform::Identity();
+  Eigen::Vector3d room_centre = Eigen::Vector3d::Zero();
+
+  /// Whether the first order does for this pose.
+  bool reaches(const RigidTransform& other_room_from_rest) const;
+  /// Line integrals there.
+  cv::Mat at(const RigidTransform& other_room_from_rest) const;
+};
+
 /// What one view's model image says of a pose: the image, times its correlation with the measured one, as what is left
 /// is noise, and its derivatives.
 struct ViewModel
@@ -58,6 +69,7 @@ struct ViewModel
   int twists = 0;           ///< 6 or 12
   double similarity = 0.0;  ///< correlation coefficient with the measured image
   cv::Mat rest;             ///< line integrals of the rest of the body, of the level's grid
+  RestRendering rendered;   ///< what these follow from, where it moves by itself
 };
 
 /// One view's image at one resolution, and its model.
@@ -93,7 +105,10 @@ public:
   const std::vector<int>& sample() const { return sample_; }
 
   /// Model of the poses with its derivatives. A model without contrast has image 0.
+  /// @param model in: a rendering of the rest from which it may be followed, or none; out
   void model(const Bodies& bodies, const PosePair& poses, double saturation, Moving moving, ViewModel& model) const;
+  /// Moves a model by a small step of its twists and its saturation, to first order.
+  void move(const Eigen::VectorXf& step, ViewModel& model) const;
   /// The high-passed model image alone, not normalised, CV_32FC1.
   void modelImage(const Bodies& bodies, const PosePair& poses, double saturation, cv::Mat& image) const;
   /// Correlation coefficient with the poses' model, -1 to 1.

@@ -7,7 +7,6 @@
 #include <tbb/parallel_for.h>
 #include <opencv2/imgproc.hpp>
 
-#include "attenuation_bins.h"
 #include "xray_tracking_core/evaluation/evaluation.h"
 
 namespace xray_tracking
@@ -198,7 +197,7 @@ PoseSearch::View PoseSearch::makeView(const RegistrationView& from, const Attenu
   if (!there.empty())
   {
     const cv::Rect inside = there - area.tl();
-    const AttenuationBins bins = attenuationBins(attenuation, from.usable, there, view.bin);
+    const AttenuationBins bins = attenuation.bins(there, view.bin, from.usable);
     // Sobel's neighbours of the outermost bins; they do not count themselves.
     cv::copyMakeBorder(bins.mean, image, inside.y, area.height - inside.y - inside.height, inside.x,
                        area.width - inside.x - inside.width, cv::BORDER_REPLICATE);

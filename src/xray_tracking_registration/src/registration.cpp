@@ -53,6 +53,11 @@ void check(const RegistrationRequest& request)
                                           ": a region to compare, expected none with a wide search, as the target may "
                                           "be anywhere"));
     }
+    if (!(view.saturation >= 0.0 && view.saturation <= kMaxSaturation))
+    {
+      throw std::invalid_argument(message("view ", view.geometry.name(), ": its saturation is ", view.saturation,
+                                          ": expected 0 to ", kMaxSaturation));
+    }
     if (!view.usable.empty() && (view.usable.size() != view.image.size() || view.usable.type() != CV_8UC1))
     {
       throw std::invalid_argument("view " + view.geometry.name() +
@@ -153,9 +158,12 @@ private:
   void solve(const Run& run, RegistrationResult& result) const
   {
     const RegistrationRequest& request = run.request;
-    const PosePair start{ request.room_from_patient, bodies_->one
-                                                         ? request.room_from_patient
-                                                         : request.room_from_patient * request.target_from_rest };
+    PosePair start{ request.room_from_patient,
+                    bodies_->one ? request.room_from_patient : request.room_from_patient * request.target_from_rest };
+    for (const RegistrationView& view : request.views)
+    {
+      start.saturation.push_back(view.saturation);
+    }
     Outcome best;
     if (request.search == Search::WIDE)
     {

@@ -47,11 +47,23 @@ RegistrationResult SequenceRegistration::run(RegistrationRequest request, std::o
   }
   request.target_from_rest = target_from_rest_;
   request.start_verified = stamp_ns && !unverified && followsFromBelieved(request.room_from_patient, *stamp_ns);
+  if (request.start_verified)
+  {
+    for (RegistrationView& view : request.views)
+    {
+      const auto known = believed_->saturations.find(view.geometry.name());
+      view.saturation = known == believed_->saturations.end() ? view.saturation : known->second;
+    }
+  }
   RegistrationResult result = registration_->run(request);
   if (stamp_ns && result.status == RegistrationStatus::SUCCESS)
   {
     target_from_rest_ = result.target_from_rest;
-    believed_ = BelievedPose{ result.room_from_patient, *stamp_ns };
+    believed_ = BelievedPose{ result.room_from_patient, *stamp_ns, {} };
+    for (std::size_t v = 0; v < request.views.size(); ++v)
+    {
+      believed_->saturations[request.views[v].geometry.name()] = result.views[v].saturation;
+    }
   }
   return result;
 }

@@ -2,7 +2,9 @@
 
 #include "xray_tracking_registration/sequence_registration.h"
 
+#include <algorithm>
 #include <stdexcept>
+#include <vector>
 
 #include <gtest/gtest.h>
 
@@ -96,6 +98,32 @@ TEST_F(SequenceRegistrationTest, theRestIsLookedForWhereItWas)
   EXPECT_TRUE(rest_at_start(12 * kSecond).isApprox(found));
   sequence_.forget();
   EXPECT_TRUE(rest_at_start(13 * kSecond).isApprox(RigidTransform::Identity()));
+}
+
+TEST_F(SequenceRegistrationTest, theViewsSaturateAsTheyDid)
+{
+  // A run that is cancelled before its first step says where it would have begun.
+  const auto saturation_at_start = [this](std::int64_t stamp_ns, bool unverified, bool reversed = false)
+  {
+    RegistrationRequest request = expose({ 0, 0, 0 }, { 0, 0, 0 });
+    if (reversed)
+    {
+      std::reverse(request.views.begin(), request.views.end());
+    }
+    request.progress = [](const RegistrationProgress&) { return false; };
+    std::vector<double> saturations;
+    for (const ViewResidual& view : sequence_.run(request, stamp_ns, unverified).views)
+    {
+      saturations.push_back(view.saturation);
+    }
+    return saturations;
+  };
+  const RegistrationResult result = runAt(10 * kSecond, { 0, 0, 0 }, { 0.5, 0, 0 });
+  const std::vector<double> found{ result.views[0].saturation, result.views[1].saturation };
+  ASSERT_NE(found[0], found[1]);
+  EXPECT_EQ(found, saturation_at_start(11 * kSecond, false));
+  EXPECT_EQ((std::vector<double>{ found[1], found[0] }), saturation_at_start(12 * kSecond, false, true));
+  EXPECT_EQ((std::vector<double>{ kUsualSaturation, kUsualSaturation }), saturation_at_start(13 * kSecond, true));
 }
 
 TEST_F(SequenceRegistrationTest, forgetsWithAnotherRunOrAnotherCt)

@@ -43,6 +43,10 @@ struct RegistrationOptions
   void validate() const;
 };
 
+/// A view's saturation k where nothing is known of it yet, and the most that is taken for possible.
+constexpr double kUsualSaturation = 0.2;
+constexpr double kMaxSaturation = 3.0;
+
 /// One view of an exposure.
 struct RegistrationView
 {
@@ -50,6 +54,10 @@ struct RegistrationView
   cv::Mat image;      ///< as AttenuationImage takes it, of the geometry's size
   cv::Rect region{};  ///< pixels to compare; empty: where the target box is seen from the start
   cv::Mat usable{};   ///< CV_8UC1 of the image's size, 0 for pixels that do not count; empty: all do
+  /// Start of the saturation k, which is estimated along, 0 to 3; best the last exposure's result. Scatter, beam
+  /// hardening and glare make of the line integral L what is measured as (1 - exp(-k L)) / k: 0 for an ideal beam, 0.1
+  /// to 0.3 for a patient's trunk, 1 and more for metal.
+  double saturation = kUsualSaturation;
 };
 
 /// How far a registration has come.
@@ -114,8 +122,7 @@ struct ViewResidual
   /// By how much the view alone would move the target along what it sees best, two directions across its central ray
   /// [mm]: large where the views do not agree.
   double pull_mm = 0.0;
-  /// How the attenuation saturates by scatter, hardening and glare: k of (1 - exp(-k L)) / k for the line integral L; 0
-  /// to 3, 0 for an ideal beam, estimated along. Where the image does not tell it, near 0.2.
+  /// RegistrationView::saturation, estimated along. Where the image does not tell it, near 0.2.
   double saturation = 0.0;
 };
 

@@ -1,17 +1,18 @@
 #pragma once
 
 #include <cstdint>
+#include <map>
 #include <memory>
 #include <optional>
+#include <string>
 
 #include "xray_tracking_registration/registration.h"
 
 namespace xray_tracking
 {
 /// Registers the exposures of a sequence, one after the other, and carries from each to the next what helps there:
-/// where the rest of the body lies against the target, and the last believed pose. What of the detectors' images is of
-/// use, DetectorPixels finds beforehand.
-/// Without ROS; the same live and offline.
+/// where the rest of the body lies against the target, how the views saturate, and the last believed pose. What of the
+/// detectors' images is of use, DetectorPixels finds beforehand. Without ROS; the same live and offline.
 ///
 /// Not thread-safe; what `registration` holds is shared, as it does not change.
 class SequenceRegistration
@@ -41,6 +42,7 @@ private:
   {
     RigidTransform room_from_patient;
     std::int64_t stamp_ns = 0;
+    std::map<std::string, double> saturations;  ///< by the views' names
   };
 
   bool followsFromBelieved(const RigidTransform& start, std::int64_t stamp_ns) const;
