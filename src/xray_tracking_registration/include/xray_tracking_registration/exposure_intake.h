@@ -10,6 +10,7 @@
 #include <vector>
 
 #include <ros/ros.h>
+#include <tf2_ros/buffer.h>
 
 #include "xray_tracking_core/sequence/treatment_setup.h"
 #include "xray_tracking_registration/exposure_store.h"
@@ -30,8 +31,9 @@ class ExposureIntake
 {
 public:
   /// Subscribes with the handle's callback queue, which may have several threads.
-  /// @param name of the node, for the log; @param capacity number of exposures kept
-  ExposureIntake(const ros::NodeHandle& nh, const std::string& name, const TreatmentSetup& setup, int capacity);
+  /// @param name of the node, for the log; @param tf_buffer outlives this; @param capacity number of exposures kept
+  ExposureIntake(const ros::NodeHandle& nh, const std::string& name, const TreatmentSetup& setup,
+                 const tf2_ros::Buffer& tf_buffer, int capacity);
 
   /// The exposure of a stamp; waits for what of it is still on its way.
   /// @param stamp_ns zero: the latest with all views
@@ -45,9 +47,10 @@ public:
   std::size_t size() const;
 
 private:
-  /// Of the callbacks of a detector's images, one at a time.
+  /// Pixels are of the callbacks of its images, one at a time.
   struct Detector
   {
+    ProjectionGeometry setup;  ///< what the setup says of it
     DetectorPixels pixels;
     std::size_t run = 0;  ///< that `pixels` is of
   };
@@ -63,6 +66,7 @@ private:
   ros::NodeHandle nh_;
   const std::string name_;
   const IntensityModel intensity_;
+  const tf2_ros::Buffer& tf_buffer_;
   const int capacity_;
   std::vector<Detector> detectors_;
   mutable std::mutex mutex_;  ///< of the store

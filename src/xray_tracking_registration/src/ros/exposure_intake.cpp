@@ -26,14 +26,18 @@ std::vector<std::string> namesOf(const std::vector<ProjectionGeometry>& detector
 }  // namespace
 
 ExposureIntake::ExposureIntake(const ros::NodeHandle& nh, const std::string& name, const TreatmentSetup& setup,
-                               int capacity)
+                               const tf2_ros::Buffer& tf_buffer, int capacity)
   : nh_(nh),
     name_(name),
     intensity_(setup.intensity),
+    tf_buffer_(tf_buffer),
     capacity_(capacity),
-    detectors_(setup.detectors.size()),
     store_(namesOf(setup.detectors), static_cast<std::size_t>(capacity))
 {
+  for (const ProjectionGeometry& detector : setup.detectors)
+  {
+    detectors_.push_back({ detector, {}, 0 });
+  }
   for (std::size_t i = 0; i < setup.detectors.size(); ++i)
   {
     const std::string& detector = setup.detectors[i].name();
@@ -70,13 +74,22 @@ void ExposureIntake::warnOfDropped(const std::string& why) const
 void ExposureIntake::takeCameraInfo(std::size_t detector, const sensor_msgs::CameraInfoConstPtr& camera_info)
 {
   const std::int64_t stamp_ns = nanosecondsFromTime(camera_info->header.stamp);
+  std::optional<ProjectionGeometry> geometry;
+  try
+  {
+    geometry = geometryOf(detectors_[detector].setup, *camera_info, tf_buffer_);
+  }
+  catch (const std::exception&)
+  {
+    // Whoever asks is told, if it still is so.
+  }
   std::string dropped;
   {
     const std::lock_guard<std::mutex> lock(mutex_);
     dropped = store_.takeCameraInfo(detector, stamp_ns, nanosecondsFromTime(ros::Time::now()));
     if (dropped.empty())
     {
-      store_.keepCameraInfo(detector, stamp_ns, camera_info);
+      store_.keepCameraInfo(detector, stamp_ns, camera_info, std::move(geometry));
     }
   }
   if (!dropped.empty())

@@ -88,7 +88,8 @@ void RegistrationRos::start()
   sequence_.emplace(setup_.targetCentre());
   const std::string fault = load(parameters_.source == "ct" ? setup_.ct_path : "");
   ROS_ERROR_STREAM_COND(!fault.empty(), "no registration: " << fault);
-  auto exposures = std::make_unique<ExposureIntake>(nh_, pnh_.getNamespace(), setup_, parameters_.queue_size);
+  auto exposures =
+      std::make_unique<ExposureIntake>(nh_, pnh_.getNamespace(), setup_, tf_buffer_, parameters_.queue_size);
   const std::lock_guard<std::mutex> lock(mutex_);
   intake_ = std::move(exposures);
 }
