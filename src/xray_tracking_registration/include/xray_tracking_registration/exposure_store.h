@@ -19,6 +19,8 @@ namespace xray_tracking
 struct StoredView
 {
   sensor_msgs::CameraInfoConstPtr camera_info;
+  /// What camera_info and tf said when it came; nothing if they did not yet say, or not in a way that is of use.
+  std::optional<ProjectionGeometry> geometry;
   std::optional<UsableImage> image;
   sensor_msgs::ImageConstPtr pixels;  ///< whose pixels `image` has, unless these are its own
 };
@@ -41,7 +43,8 @@ public:
   /// Keeps what was taken. @param run in which that was; nothing is kept of one that has ended since
   void keepImage(std::size_t detector, std::int64_t stamp_ns, std::size_t run, UsableImage image,
                  const sensor_msgs::ImageConstPtr& pixels);
-  void keepCameraInfo(std::size_t detector, std::int64_t stamp_ns, const sensor_msgs::CameraInfoConstPtr& camera_info);
+  void keepCameraInfo(std::size_t detector, std::int64_t stamp_ns, const sensor_msgs::CameraInfoConstPtr& camera_info,
+                      std::optional<ProjectionGeometry> geometry);
   /// Number of runs that have ended.
   std::size_t run() const { return run_; }
 
@@ -49,7 +52,8 @@ public:
   /// @param stamp_ns zero: that of the latest with all views, which it is then set to
   const StoredExposure* find(std::int64_t& stamp_ns) const;
   /// Names the first image or camera_info that the exposure lacks; empty if it has all.
-  std::string missingView(const StoredExposure& exposure) const;
+  /// @param without names of detectors that may be missing
+  std::string missingView(const StoredExposure& exposure, const std::vector<std::string>& without = {}) const;
 
   std::size_t size() const { return exposures_.size(); }
 

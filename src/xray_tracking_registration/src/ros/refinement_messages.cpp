@@ -1,5 +1,6 @@
 #include "xray_tracking_registration/refinement_messages.h"
 
+#include <algorithm>
 #include <cmath>
 #include <stdexcept>
 
@@ -36,23 +37,20 @@ void readBound(const char* key, double value, double millimetres_per_unit, doubl
 RegistrationView viewOf(const ProjectionGeometry& detector, const StoredView& view, const tf2_ros::Buffer& tf_buffer)
 {
   const UsableImage& image = *view.image;
-  const sensor_msgs::CameraInfo& info = *view.camera_info;
   if (!image.fault.empty())
   {
     throw std::invalid_argument(image.fault);
   }
-  if (static_cast<std::uint32_t>(image.image.cols) != info.width ||
-      static_cast<std::uint32_t>(image.image.rows) != info.height)
+  const ProjectionGeometry geometry =
+      view.geometry ? *view.geometry : geometryOf(detector, *view.camera_info, tf_buffer);
+  const Eigen::Vector2i& size = geometry.imageSize();
+  if (image.image.cols != size.x() || image.image.rows != size.y())
   {
     throw std::invalid_argument("the image is " + std::to_string(image.image.cols) + " x " +
                                 std::to_string(image.image.rows) + ", expected camera_info's " +
-                                std::to_string(info.width) + " x " + std::to_string(info.height));
+                                std::to_string(size.x()) + " x " + std::to_string(size.y()));
   }
-  const RigidTransform room_from_optical =
-      rigidFromTransformMsg(tf_buffer.lookupTransform(kRoomFrame, info.header.frame_id, ros::Time(0)).transform);
-  RegistrationView result{
-    geometryFromCameraInfo(detector.name(), info, room_from_optical, detector.sourceToDetector()), image.image
-  };
+  RegistrationView result{ geometry, image.image };
   result.usable = image.usable;
   return result;
 }
@@ -78,12 +76,28 @@ UsableImage usableImageOf(const sensor_msgs::ImageConstPtr& image, const Intensi
   return seen;
 }
 
-std::vector<RegistrationView> viewsOf(const StoredExposure& exposure, const TreatmentSetup& setup,
-                                      const tf2_ros::Buffer& tf_buffer)
+ProjectionGeometry geometryOf(const ProjectionGeometry& detector, const sensor_msgs::CameraInfo& info,
+                              const tf2_ros::Buffer& tf_buffer)
 {
+  const RigidTransform room_from_optical =
+      rigidFromTransformMsg(tf_buffer.lookupTransform(kRoomFrame, info.header.frame_id, ros::Time(0)).transform);
+  return geometryFromCameraInfo(detector.name(), info, room_from_optical, detector.sourceToDetector());
+}
+
+std::vector<RegistrationView> viewsOf(const StoredExposure& exposure, const TreatmentSetup& setup,
+                                      const std::vector<std::string>& without, const tf2_ros::Buffer& tf_buffer)
+{
+  for (const std::string& name : without)
+  {
+    setup.detector(name);  // throws where there is none
+  }
   std::vector<RegistrationView> views;
   for (std::size_t i = 0; i < setup.detectors.size(); ++i)
   {
+    if (std::find(without.begin(), without.end(), setup.detectors[i].name()) != without.end())
+    {
+      continue;
+    }
     try
     {
       views.push_back(viewOf(setup.detectors[i], exposure[i], tf_buffer));
@@ -93,6 +107,8 @@ std::vector<RegistrationView> viewsOf(const StoredExposure& exposure, const Trea
       throw std::invalid_argument(setup.detectors[i].name() + ": " + error.what());
     }
   }
+  requireOption(views.size() >= 2, "the number of detectors to compare", views.size(),
+                "two or more; the request leaves out " + std::to_string(without.size()));
   return views;
 }
 
@@ -104,7 +120,7 @@ Search searchOf(const RefinementRequest& message)
   return wide ? Search::WIDE : Search::NEAR;
 }
 
-void applyRequest(const RefinementRequest& message, RegistrationRequest& request)
+void applyRequest(const RefinementRequest& message, const TreatmentSetup& setup, RegistrationRequest& request)
 {
   try
   {
@@ -124,11 +140,17 @@ void applyRequest(const RefinementRequest& message, RegistrationRequest& request
   {
     return;
   }
-  requireOption(message.regions.size() == request.views.size(), "the number of regions", message.regions.size(),
-                "none, or one for each of the " + std::to_string(request.views.size()) + " detectors");
-  for (std::size_t i = 0; i < request.views.size(); ++i)
+  requireOption(message.regions.size() == setup.detectors.size(), "the number of regions", message.regions.size(),
+                "none, or one for each of the " + std::to_string(setup.detectors.size()) + " detectors");
+  for (std::size_t i = 0; i < setup.detectors.size(); ++i)
   {
-    request.views[i].region = rectFromRegionMsg(message.regions[i]);
+    for (RegistrationView& view : request.views)
+    {
+      if (view.geometry.name() == setup.detectors[i].name())
+      {
+        view.region = rectFromRegionMsg(message.regions[i]);
+      }
+    }
   }
 }
 

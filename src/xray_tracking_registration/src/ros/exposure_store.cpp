@@ -60,9 +60,12 @@ void ExposureStore::keepImage(std::size_t detector, std::int64_t stamp_ns, std::
 }
 
 void ExposureStore::keepCameraInfo(std::size_t detector, std::int64_t stamp_ns,
-                                   const sensor_msgs::CameraInfoConstPtr& camera_info)
+                                   const sensor_msgs::CameraInfoConstPtr& camera_info,
+                                   std::optional<ProjectionGeometry> geometry)
 {
-  at(stamp_ns)[detector].camera_info = camera_info;
+  StoredView& view = at(stamp_ns)[detector];
+  view.camera_info = camera_info;
+  view.geometry = std::move(geometry);
 }
 
 StoredExposure& ExposureStore::at(std::int64_t stamp_ns)
@@ -75,10 +78,14 @@ StoredExposure& ExposureStore::at(std::int64_t stamp_ns)
   return entry->second;
 }
 
-std::string ExposureStore::missingView(const StoredExposure& exposure) const
+std::string ExposureStore::missingView(const StoredExposure& exposure, const std::vector<std::string>& without) const
 {
   for (std::size_t i = 0; i < detectors_.size(); ++i)
   {
+    if (std::find(without.begin(), without.end(), detectors_[i]) != without.end())
+    {
+      continue;
+    }
     if (!exposure[i].image)
     {
       return detectors_[i] + "/image_raw has not arrived";
