@@ -19,6 +19,7 @@
 #include <xray_tracking_msgs/TrackedRegion.h>
 #include <xray_tracking_msgs/TrainRegion.h>
 
+#include "xray_tracking_conversions/service_caller.h"
 #include "xray_tracking_core/sequence/treatment_setup.h"
 #include "xray_tracking_motion_estimation/beam_gate_publisher.h"
 #include "xray_tracking_motion_estimation/camera_info_watch.h"
@@ -26,7 +27,6 @@
 #include "xray_tracking_motion_estimation/motion_estimation_parameters.h"
 #include "xray_tracking_motion_estimation/motion_monitor.h"
 #include "xray_tracking_motion_estimation/motion_report.h"
-#include "xray_tracking_motion_estimation/service_caller.h"
 
 namespace xray_tracking
 {
