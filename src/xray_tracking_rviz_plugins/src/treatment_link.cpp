@@ -7,9 +7,9 @@
 #include <sstream>
 #include <utility>
 
-#include <Eigen/Eigenvalues>
 #include <ros/master.h>
 #include <std_msgs/Header.h>
+#include <Eigen/Eigenvalues>
 
 namespace xray_tracking
 {
@@ -37,14 +37,8 @@ TreatmentLink::Charts emptyCharts()
 
 const char* statusWords(std::uint8_t status)
 {
-  static const char* const kWords[] = { "believed",
-                                        "not believed",
-                                        "ran out of time",
-                                        "cancelled",
-                                        "bad request",
-                                        "no CT loaded",
-                                        "no such exposure",
-                                        "busy" };
+  static const char* const kWords[] = { "believed",    "not believed", "ran out of time",  "cancelled",
+                                        "bad request", "no CT loaded", "no such exposure", "busy" };
   return status < 8 ? kWords[status] : "unknown status";
 }
 
@@ -356,7 +350,8 @@ void TreatmentLink::beat()
     const std::lock_guard<std::mutex> lock(mutex_);
     again = std::exchange(send_again_, false);
     const GateLight light =
-        gateView(gate_, now(), ros::Time::isSimTime() ? std::nullopt : std::optional<ros::Time>(ros::Time::now())).light;
+        gateView(gate_, now(), ros::Time::isSimTime() ? std::nullopt : std::optional<ros::Time>(ros::Time::now()))
+            .light;
     if (lights_.entries().empty() || lights_.entries().back().value != light)
     {
       lights_.add(now(), light);
@@ -532,8 +527,9 @@ void TreatmentLink::sendGoal()
     goal.request.seed = *pose_;
   }
   refiner_->sendGoal(
-      goal, [this](const actionlib::SimpleClientGoalState& state,
-                   const xray_tracking_msgs::RefinePoseResultConstPtr& result) { refineDone(state, result); },
+      goal,
+      [this](const actionlib::SimpleClientGoalState& state, const xray_tracking_msgs::RefinePoseResultConstPtr& result)
+      { refineDone(state, result); },
       Client::SimpleActiveCallback(),
       [this](const xray_tracking_msgs::RefinePoseFeedbackConstPtr& feedback)
       {

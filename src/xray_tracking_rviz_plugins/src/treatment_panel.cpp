@@ -14,7 +14,7 @@
 #include <pluginlib/class_list_macros.hpp>
 
 #include "bag_recorder.h"
-#include "panel_style.h"
+#include "look.h"
 #include "treatment_widgets.h"
 
 namespace xray_tracking
@@ -27,8 +27,8 @@ using xray_tracking_msgs::TrackedRegion;
 
 constexpr int kTick = 100;  ///< [ms]
 constexpr std::int64_t kMillisecond = 1000000;
-/// Ticks in time, one after the other, before the first heartbeat: a window that is still being built stops for seconds,
-/// which would hold the beam.
+/// Ticks in time, one after the other, before the first heartbeat: a window that is still being built stops for
+/// seconds, which would hold the beam.
 constexpr int kSteady = 10;
 constexpr std::int64_t kOld = 2000 * kMillisecond;  ///< what was said longer ago is told as old
 
@@ -37,9 +37,9 @@ QString coloured(const QString& text, const QColor& colour)
   return "<span style='color:" + colour.name() + "'>" + text.toHtmlEscaped() + "</span>";
 }
 
-QString dim(const QString& text)
+QString quiet(const QString& text)
 {
-  return coloured(text, style::kDim);
+  return coloured(text, look::kQuiet);
 }
 
 QString seconds(double value)
@@ -53,25 +53,25 @@ QString trackerText(const TrackerView& tracker, std::int64_t now)
   const QString name = QString::fromStdString(tracker.detector) + "  ";
   if (tracker.arrival == 0 || now - tracker.arrival > kOld)
   {
-    return dim(name) + coloured(tracker.arrival == 0 ? "nothing so far" : "silent", style::kUnknown);
+    return quiet(name) + coloured(tracker.arrival == 0 ? "nothing so far" : "silent", look::kQuiet);
   }
-  const QColor colour = tracker.state == TrackedRegion::TRACKING   ? style::kGood
-                        : tracker.state == TrackedRegion::DEGRADED ? style::kWarn
-                        : tracker.state == TrackedRegion::TRAINING ? style::kAccent
-                                                                   : style::kBad;
-  QString text = dim(name) + coloured(tracker.state < 6 ? kStates[tracker.state] : "unknown state", colour);
+  const QColor colour = tracker.state == TrackedRegion::TRACKING   ? look::kGood
+                        : tracker.state == TrackedRegion::DEGRADED ? look::kWarning
+                        : tracker.state == TrackedRegion::TRAINING ? look::kAccent
+                                                                   : look::kBad;
+  QString text = quiet(name) + coloured(tracker.state < 6 ? kStates[tracker.state] : "unknown state", colour);
   if (tracker.state == TrackedRegion::TRACKING || tracker.state == TrackedRegion::DEGRADED)
   {
-    text += dim("  correlation " + QString::number(tracker.correlation, 'f', 3));
+    text += quiet("  correlation " + QString::number(tracker.correlation, 'f', 3));
   }
-  return tracker.fault.empty() ? text : text + dim("  " + QString::fromStdString(tracker.fault));
+  return tracker.fault.empty() ? text : text + quiet("  " + QString::fromStdString(tracker.fault));
 }
 
 QString registrationText(const TreatmentView& view, std::int64_t now)
 {
   if (!view.refined || now - view.refined_arrival > 5 * kOld)
   {
-    return view.registration ? dim("running, not asked") : coloured("not running", style::kUnknown);
+    return view.registration ? quiet("running, not asked") : coloured("not running", look::kQuiet);
   }
   const RefinementResult& result = view.refined->result;
   const QString figures = "  probability " + QString::number(result.probability, 'f', 2) + ", similarity " +
@@ -79,43 +79,50 @@ QString registrationText(const TreatmentView& view, std::int64_t now)
                           QString::number(1e3 * result.time.toSec(), 'f', 0) + " ms";
   if (result.status == RefinementResult::SUCCESS)
   {
-    return coloured("believed", style::kGood) + dim(figures);
+    return coloured("believed", look::kGood) + quiet(figures);
   }
-  return coloured("not believed", style::kWarn) + dim("  " + QString::fromStdString(result.reason));
+  return coloured("not believed", look::kWarning) + quiet("  " + QString::fromStdString(result.reason));
 }
 
 QString poseText(const TreatmentView& view, std::int64_t now)
 {
-  static const char* const kStates[] = { "measured",     "waiting",          "lost",        "views contradict",
+  static const char* const kStates[] = { "measured",     "waiting",           "lost",        "views contradict",
                                          "no reference", "stamped in future", "unregistered" };
   if (!view.motion)
   {
-    return coloured("nothing on patient_motion", style::kUnknown);
+    return coloured("nothing on patient_motion", look::kQuiet);
   }
   if (now - view.motion_arrival > kOld)
   {
-    return coloured("no exposures any more", style::kUnknown);
+    return coloured("no exposures any more", look::kQuiet);
   }
   const PatientMotion& motion = *view.motion;
   if (motion.state != PatientMotion::OK)
   {
-    return coloured(motion.state < 7 ? kStates[motion.state] : "unknown state", style::kBad) +
-           dim("  " + QString::fromStdString(motion.reason));
+    return coloured(motion.state < 7 ? kStates[motion.state] : "unknown state", look::kBad) +
+           quiet("  " + QString::fromStdString(motion.reason));
   }
   if (motion.source == PatientMotion::REGISTERED)
   {
-    return coloured("registered with the CT", style::kGood);
+    return coloured("registered with the CT", look::kGood);
   }
-  return coloured("tracked", style::kAccent) + dim("  not registered: " + QString::fromStdString(motion.not_registered));
+  return coloured("tracked", look::kAccent) +
+         quiet("  not registered: " + QString::fromStdString(motion.not_registered));
 }
 }  // namespace
 
 TreatmentPanel::TreatmentPanel(QWidget* parent)
   : rviz::Panel(parent), timer_(new QTimer(this)), banner_(new GateBanner(this)), bars_(new ToleranceBars(this))
 {
-  setObjectName("ground");
   setAttribute(Qt::WA_StyledBackground);
-  setStyleSheet(style::sheet());
+  setStyleSheet(look::styleSheet() +
+                "QLabel#quiet { color: #8b97a5; }"
+                "QPushButton#hold { background: #8a2722; border: 2px solid #ff5c5c; color: white; font-size: 20px;"
+                "  font-weight: bold; padding: 12px; }"
+                "QPushButton#hold:hover { background: #a9332d; }"
+                "QPushButton#release { font-size: 16px; padding: 12px; }"
+                "QPushButton#release:enabled { border: 2px solid #ffb946; color: #ffb946; }"
+                "QPushButton#record:checked { background: #8a2722; border-color: #ff5c5c; }");
   auto* layout = new QVBoxLayout(this);
   layout->setContentsMargins(8, 8, 8, 8);
   layout->setSpacing(6);
@@ -134,11 +141,12 @@ TreatmentPanel::TreatmentPanel(QWidget* parent)
   layout->addWidget(bars_);
 
   const std::array<std::tuple<const char*, const char*, int>, kQuantities> quantities{ { { "Displacement", "mm", 2 },
-                                                                                        { "Rotation", "°", 1 },
-                                                                                        { "Uncertainty", "mm", 2 },
-                                                                                        { "Views' disagreement", "px", 2 },
-                                                                                        { "Similarity", "", 2 },
-                                                                                        { "Latency", "ms", 0 } } };
+                                                                                         { "Rotation", "°", 1 },
+                                                                                         { "Uncertainty", "mm", 2 },
+                                                                                         { "Views' disagreement", "px",
+                                                                                           2 },
+                                                                                         { "Similarity", "", 2 },
+                                                                                         { "Latency", "ms", 0 } } };
   auto* charts = new QVBoxLayout;
   charts->setSpacing(2);
   for (std::size_t i = 0; i < kQuantities; ++i)
@@ -151,7 +159,7 @@ TreatmentPanel::TreatmentPanel(QWidget* parent)
   layout->addWidget(makeStatus());
   layout->addWidget(makeButtons());
   message_ = new QLabel(this);
-  message_->setObjectName("dim");
+  message_->setObjectName("quiet");
   message_->setWordWrap(true);
   message_->setMinimumHeight(34);
   message_->setAlignment(Qt::AlignTop | Qt::AlignLeft);
@@ -172,7 +180,7 @@ QWidget* TreatmentPanel::makeStatus()
   const auto line = [&](const char* name)
   {
     auto* title = new QLabel(name, box);
-    title->setObjectName("dim");
+    title->setObjectName("quiet");
     title->setMinimumWidth(82);
     title->setAlignment(Qt::AlignTop);
     auto* value = new QLabel(box);
@@ -229,7 +237,11 @@ void TreatmentPanel::onInitialize()
   connect(release_, &QPushButton::clicked, this, [this] { link_->hold(false); });
   connect(train_, &QPushButton::clicked, this, [this] { link_->train(); });
   connect(refine_, &QPushButton::clicked, this,
-          [this] { link_->view().commands[1 + 1].busy ? link_->cancelRefinement() : link_->refine(); });
+          [this]
+          {
+            link_->view().commands[static_cast<std::size_t>(Command::REFINE)].busy ? link_->cancelRefinement()
+                                                                                   : link_->refine();
+          });
   connect(reset_, &QPushButton::clicked, this, &TreatmentPanel::confirmReset);
   connect(load_, &QPushButton::clicked, this, &TreatmentPanel::chooseCt);
   connect(record_, &QPushButton::clicked, this, &TreatmentPanel::toggleRecording);
@@ -248,30 +260,31 @@ void TreatmentPanel::onInitialize()
 void TreatmentPanel::tick()
 {
   const std::int64_t now = TreatmentLink::now();
-  steady_ticks_ = now - last_tick_ < 3 * kTick * kMillisecond ? std::min(steady_ticks_ + 1, kSteady)
-                  : steady_ticks_ >= kSteady                  ? kSteady
-                                                              : 0;
+  if (steady_ticks_ < kSteady)
+  {
+    steady_ticks_ = now - last_tick_ < 3 * kTick * kMillisecond ? steady_ticks_ + 1 : 0;
+  }
   last_tick_ = now;
   if (steady_ticks_ >= kSteady)
   {
     link_->beat();
   }
   const TreatmentView view = link_->view();
-  banner_->show(view.gate_view);
+  banner_->display(view.gate_view);
   release_->setEnabled(view.gate_view.light == GateLight::HELD);
   if (++ticks_ % 3 == 0)
   {
-    bars_->show(view);
+    bars_->display(view);
     showStatus(view);
     showCommands(view);
     const TreatmentLink::Charts charts = link_->charts();
     const TreatmentLink::Lights lights = link_->lights();
     const std::array<std::optional<double>, kQuantities> tolerances{ view.max_displacement, view.max_rotation,
-                                                                     view.max_sigma, std::nullopt, std::nullopt,
-                                                                     std::nullopt };
+                                                                     view.max_sigma,        std::nullopt,
+                                                                     std::nullopt,          std::nullopt };
     for (std::size_t i = 0; i < kQuantities; ++i)
     {
-      charts_[i]->show(charts[i], lights, tolerances[i], now);
+      charts_[i]->display(charts[i], lights, tolerances[i], now);
     }
   }
 }
@@ -282,31 +295,32 @@ void TreatmentPanel::showStatus(const TreatmentView& view)
   pose_->setText(poseText(view, now));
   if (!view.frozen_clock.empty())
   {
-    exposure_->setText(coloured(QString::fromStdString(view.frozen_clock), style::kWarn));
+    exposure_->setText(coloured(QString::fromStdString(view.frozen_clock), look::kWarning));
   }
   else if (view.gate && !view.gate->message.exposure.isZero())
   {
     const double age = view.gate->message.age.toSec() + 1e-9 * static_cast<double>(now - view.gate->arrival);
     const bool stale = age > view.gate->message.max_age.toSec();
-    exposure_->setText(coloured("last one " + seconds(age) + " ago", stale ? style::kBad : style::kText) +
-                       dim("  " + QString::number(view.rate, 'f', 1) + " a second"));
+    exposure_->setText(coloured("last one " + seconds(age) + " ago", stale ? look::kBad : look::kText) +
+                       quiet("  " + QString::number(view.rate, 'f', 1) + " a second"));
   }
   else
   {
-    exposure_->setText(coloured("none so far", style::kUnknown) + dim("  start a detector, the simulator or a bag"));
+    exposure_->setText(coloured("none so far", look::kQuiet) + quiet("  start a detector, the simulator or a bag"));
   }
   QStringList lines;
   for (const TrackerView& tracker : view.trackers)
   {
     lines << trackerText(tracker, now);
   }
-  trackers_->setText(lines.isEmpty() ? coloured("none is running", style::kUnknown) : lines.join("<br>"));
+  trackers_->setText(lines.isEmpty() ? coloured("none is running", look::kQuiet) : lines.join("<br>"));
   registration_->setText(registrationText(view, now));
 }
 
 void TreatmentPanel::showCommands(const TreatmentView& view)
 {
-  const auto state = [&](Command which) -> const CommandState& { return view.commands[static_cast<std::size_t>(which)]; };
+  const auto state = [&](Command which) -> const CommandState&
+  { return view.commands[static_cast<std::size_t>(which)]; };
   const auto show = [&](QPushButton* button, Command which)
   {
     const CommandState& command = state(which);
@@ -325,20 +339,22 @@ void TreatmentPanel::showCommands(const TreatmentView& view)
   if (!state(Command::HOLD).offered)
   {
     lines << coloured("The beam cannot be held from here: " + QString::fromStdString(state(Command::HOLD).text),
-                      style::kBad);
+                      look::kBad);
   }
   for (std::size_t i = 0; i < kCommands; ++i)
   {
     const CommandState& command = view.commands[i];
     if (command.offered && !command.text.empty())
     {
-      lines << coloured(QString(kNames[i]) + ": " + QString::fromStdString(command.text),
-                        command.failed ? style::kBad : command.busy ? style::kAccent : style::kDim);
+      lines << coloured(QString(kNames[i]) + ": " + QString::fromStdString(command.text), command.failed ? look::kBad
+                                                                                          : command.busy
+                                                                                              ? look::kAccent
+                                                                                              : look::kQuiet);
     }
   }
   if (!last_message_.isEmpty())
   {
-    lines << dim(last_message_);
+    lines << quiet(last_message_);
   }
   const QString text = lines.join("<br>");
   if (message_->text() != text)

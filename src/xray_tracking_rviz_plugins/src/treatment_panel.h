@@ -48,8 +48,8 @@ private:
   std::unique_ptr<TreatmentLink> link_;
   QTimer* timer_;
   int ticks_ = 0;
-  int steady_ticks_ = 0;           ///< in a row that came in time
-  std::int64_t last_tick_ = 0;     ///< monotonic clock [ns]
+  int steady_ticks_ = 0;        ///< in a row that came in time
+  std::int64_t last_tick_ = 0;  ///< monotonic clock [ns]
   GateBanner* banner_;
   ToleranceBars* bars_;
   std::array<StripChart*, kQuantities> charts_{};

@@ -6,7 +6,7 @@
 #include <QPainter>
 #include <QPainterPath>
 
-#include "panel_style.h"
+#include "look.h"
 
 namespace xray_tracking
 {
@@ -16,7 +16,7 @@ constexpr double kDegrees = 180.0 / 3.14159265358979323846;
 constexpr int kNameWidth = 96;
 constexpr int kValueWidth = 88;
 
-QFont font(int pixels, bool bold = false)
+QFont sized(int pixels, bool bold = false)
 {
   QFont font;
   font.setPixelSize(pixels);
@@ -43,13 +43,28 @@ double roundUp(double value)
 }
 }  // namespace
 
+QColor colourOf(GateLight light)
+{
+  switch (light)
+  {
+    case GateLight::OPEN:
+      return { 0x1c, 0x8f, 0x5a };
+    case GateLight::CLOSED:
+      return { 0xc0, 0x36, 0x30 };
+    case GateLight::HELD:
+      return { 0xb8, 0x72, 0x12 };
+    default:
+      return { 0x5c, 0x63, 0x6e };
+  }
+}
+
 GateBanner::GateBanner(QWidget* parent) : QWidget(parent)
 {
   setMinimumHeight(132);
   setObjectName("gate_banner");
 }
 
-void GateBanner::show(const GateView& view)
+void GateBanner::display(const GateView& view)
 {
   const bool same = view.light == view_.light && view.headline == view_.headline && view.reason == view_.reason;
   view_ = view;
@@ -64,18 +79,18 @@ void GateBanner::paintEvent(QPaintEvent*)
   QPainter painter(this);
   painter.setRenderHint(QPainter::Antialiasing);
   painter.setPen(Qt::NoPen);
-  painter.setBrush(style::ofLight(view_.light));
+  painter.setBrush(colourOf(view_.light));
   painter.drawRoundedRect(rect(), 8, 8);
   if (view_.light == GateLight::SILENT)
   {
-    painter.setBrush(QBrush(style::kGround, Qt::BDiagPattern));
+    painter.setBrush(QBrush(look::kBackground, Qt::BDiagPattern));
     painter.drawRoundedRect(rect(), 8, 8);
   }
   painter.setPen(Qt::white);
-  painter.setFont(font(38, true));
+  painter.setFont(sized(38, true));
   painter.drawText(rect().adjusted(16, 8, -16, -height() + 60), Qt::AlignLeft | Qt::AlignVCenter,
                    QString::fromStdString(view_.headline));
-  painter.setFont(font(14));
+  painter.setFont(sized(14));
   painter.drawText(rect().adjusted(16, 60, -16, -6), Qt::AlignLeft | Qt::AlignTop | Qt::TextWordWrap,
                    QString::fromStdString(view_.reason));
 }
@@ -91,7 +106,7 @@ ToleranceBars::ToleranceBars(QWidget* parent) : QWidget(parent)
   setFixedHeight(8 + 24 * static_cast<int>(bars_.size()));
 }
 
-void ToleranceBars::show(const TreatmentView& view)
+void ToleranceBars::display(const TreatmentView& view)
 {
   for (Bar& bar : bars_)
   {
@@ -134,7 +149,7 @@ void ToleranceBars::paintEvent(QPaintEvent*)
 {
   QPainter painter(this);
   painter.setRenderHint(QPainter::Antialiasing);
-  painter.setBrush(style::kCard);
+  painter.setBrush(look::kSurface);
   painter.setPen(Qt::NoPen);
   painter.drawRoundedRect(rect(), 6, 6);
   int y = 4;
@@ -142,12 +157,12 @@ void ToleranceBars::paintEvent(QPaintEvent*)
   {
     const QRectF row(10, y, width() - 20, 24);
     y += 24;
-    painter.setFont(font(13));
-    painter.setPen(style::kDim);
+    painter.setFont(sized(13));
+    painter.setPen(look::kQuiet);
     painter.drawText(row, Qt::AlignLeft | Qt::AlignVCenter, bar.name);
     const QRectF field(row.left() + kNameWidth, row.top() + 6, row.width() - kNameWidth - kValueWidth, 12);
     painter.setPen(Qt::NoPen);
-    painter.setBrush(style::kGround);
+    painter.setBrush(look::kBackground);
     painter.drawRoundedRect(field, 3, 3);
     // The tolerance is at two thirds of what is shown.
     const double shown = 1.5 * bar.tolerance;
@@ -162,22 +177,23 @@ void ToleranceBars::paintEvent(QPaintEvent*)
       const bool within = std::abs(*bar.value) <= bar.tolerance;
       const double from = at(0.0);
       const double to = at(*bar.value);
-      painter.setBrush(within ? style::kAccent : style::kBad);
-      painter.drawRect(QRectF(QPointF(std::min(from, to), field.top() + 2), QPointF(std::max(from, to), field.bottom() - 2)));
+      painter.setBrush(within ? look::kAccent : look::kBad);
+      painter.drawRect(
+          QRectF(QPointF(std::min(from, to), field.top() + 2), QPointF(std::max(from, to), field.bottom() - 2)));
     }
-    painter.setPen(QPen(style::kDim, 1));
+    painter.setPen(QPen(look::kQuiet, 1));
     if (bar.is_signed)
     {
       painter.drawLine(QPointF(at(0.0), field.top()), QPointF(at(0.0), field.bottom()));
     }
-    painter.setPen(QPen(style::kWarn, 2));
+    painter.setPen(QPen(look::kWarning, 2));
     painter.drawLine(QPointF(at(bar.tolerance), field.top() - 2), QPointF(at(bar.tolerance), field.bottom() + 2));
     if (bar.is_signed)
     {
       painter.drawLine(QPointF(at(-bar.tolerance), field.top() - 2), QPointF(at(-bar.tolerance), field.bottom() + 2));
     }
-    painter.setFont(font(15, true));
-    painter.setPen(bar.value ? style::kText : style::kDim);
+    painter.setFont(sized(15, true));
+    painter.setPen(bar.value ? look::kText : look::kQuiet);
     const QString number = bar.value ? QString::number(*bar.value, 'f', bar.unit[0] == 'm' ? 2 : 1) : QString("-");
     painter.drawText(row, Qt::AlignRight | Qt::AlignVCenter,
                      number + (bar.unit[0] == 'm' ? " " : "") + QString::fromUtf8(bar.unit));
@@ -191,7 +207,7 @@ StripChart::StripChart(const QString& name, const QString& unit, int decimals, Q
   setSizePolicy(QSizePolicy::Preferred, QSizePolicy::Expanding);
 }
 
-void StripChart::show(const RecentValues<double>& values, const TreatmentLink::Lights& lights,
+void StripChart::display(const RecentValues<double>& values, const TreatmentLink::Lights& lights,
                       std::optional<double> tolerance, std::int64_t now)
 {
   values_ = values;
@@ -220,7 +236,7 @@ double StripChart::x(std::int64_t time) const
 void StripChart::paintEvent(QPaintEvent*)
 {
   QPainter painter(this);
-  painter.fillRect(rect(), style::kCard);
+  painter.fillRect(rect(), look::kSurface);
   const double bottom = height() - 2.0;
   const double scale = (height() - 6.0) / top();
   if (values_.span() > 0)
@@ -228,8 +244,8 @@ void StripChart::paintEvent(QPaintEvent*)
     const auto& lights = lights_.entries();
     for (std::size_t i = 0; i < lights.size(); ++i)
     {
-      QColor colour = style::ofLight(lights[i].value);
-      colour.setAlpha(64);
+      QColor colour = colourOf(lights[i].value);
+      colour.setAlpha(90);
       const double from = x(lights[i].time);
       const double to = i + 1 < lights.size() ? x(lights[i + 1].time) : x(now_);
       painter.fillRect(QRectF(from, 0.0, to - from, height()), colour);
@@ -237,7 +253,7 @@ void StripChart::paintEvent(QPaintEvent*)
   }
   if (tolerance_)
   {
-    painter.setPen(QPen(style::kWarn, 1, Qt::DashLine));
+    painter.setPen(QPen(look::kWarning, 1, Qt::DashLine));
     painter.drawLine(QPointF(0.0, bottom - scale * *tolerance_), QPointF(width(), bottom - scale * *tolerance_));
   }
   painter.setRenderHint(QPainter::Antialiasing);
@@ -267,14 +283,14 @@ void StripChart::paintEvent(QPaintEvent*)
     drawing = true;
     last = entry.time;
   }
-  painter.setPen(QPen(style::kText, 1.6));
+  painter.setPen(QPen(look::kText, 1.6));
   painter.setBrush(Qt::NoBrush);
   painter.drawPath(path);
-  painter.setFont(font(12));
-  painter.setPen(style::kDim);
+  painter.setFont(sized(12));
+  painter.setPen(look::kQuiet);
   painter.drawText(rect().adjusted(6, 2, -6, -2), Qt::AlignLeft | Qt::AlignTop, name_);
-  painter.setFont(font(14, true));
-  painter.setPen(style::kText);
+  painter.setFont(sized(14, true));
+  painter.setPen(look::kText);
   if (latest && now_ - values_.entries().back().time < 3000000000)
   {
     painter.drawText(rect().adjusted(6, 1, -6, -2), Qt::AlignRight | Qt::AlignTop,

@@ -4,18 +4,22 @@
 #include <cstdint>
 #include <optional>
 
+#include <QColor>
 #include <QWidget>
 
 #include "treatment_link.h"
 
 namespace xray_tracking
 {
+/// Of fields with white text on them.
+QColor colourOf(GateLight light);
+
 /// The gate's state: a coloured field with its headline and its reason.
 class GateBanner : public QWidget
 {
 public:
   explicit GateBanner(QWidget* parent);
-  void show(const GateView& view);
+  void display(const GateView& view);
   const GateView& shown() const { return view_; }
 
 protected:
@@ -30,7 +34,7 @@ class ToleranceBars : public QWidget
 {
 public:
   explicit ToleranceBars(QWidget* parent);
-  void show(const TreatmentView& view);
+  void display(const TreatmentView& view);
 
 protected:
   void paintEvent(QPaintEvent* event) override;
@@ -54,7 +58,7 @@ public:
   /// @param decimals of the value that is written
   StripChart(const QString& name, const QString& unit, int decimals, QWidget* parent);
   /// @param tolerance drawn as a line; none: nothing
-  void show(const RecentValues<double>& values, const TreatmentLink::Lights& lights, std::optional<double> tolerance,
+  void display(const RecentValues<double>& values, const TreatmentLink::Lights& lights, std::optional<double> tolerance,
             std::int64_t now);
 
 protected:
