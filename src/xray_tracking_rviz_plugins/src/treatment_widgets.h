@@ -59,7 +59,7 @@ public:
   StripChart(const QString& name, const QString& unit, int decimals, QWidget* parent);
   /// @param tolerance drawn as a line; none: nothing
   void display(const RecentValues<double>& values, const TreatmentLink::Lights& lights, std::optional<double> tolerance,
-            std::int64_t now);
+               std::int64_t now);
 
 protected:
   void paintEvent(QPaintEvent* event) override;
