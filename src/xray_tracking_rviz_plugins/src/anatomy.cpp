@@ -18,12 +18,14 @@ namespace
 {
 namespace fs = boost::filesystem;
 
-constexpr const char* kVersion = "anatomy 1";
+constexpr const char* kVersion = "anatomy 2";
 constexpr std::size_t kMostTriangles = 160000;
 constexpr double kLeastArea = 250.0;  ///< of a piece of bone: others are noise and calcifications [mm^2]
 constexpr double kSlice = 240.0;      ///< edge of a slice [mm]
 constexpr double kSlicePixel = 0.8;   ///< [mm]
 constexpr float kAir = 1024.0F;       ///< what is added to HU, so that 0 is below all
+constexpr double kCoarse = 4.0;       ///< voxels in which the body is found [mm]
+constexpr int kTissue = -300;         ///< HU from which it is tissue
 constexpr float kBone = 200.0F;       ///< HU from which bone is shown
 const PhantomCtOptions kPhantomCt{ { 200, 200, 200 }, { 1.0, 1.0, 1.0 }, 1.0 };  // as registration has it
 
@@ -221,6 +223,93 @@ CtSlice sliceOf(const CtVolume& ct, const Eigen::Vector3d& centre, const Eigen::
   return slice;
 }
 
+ScalarVolume bodyOf(const CtVolume& ct)
+{
+  const Eigen::Vector3d spacing = ct.grid.spacing();
+  const Eigen::Array3i every = (kCoarse / spacing.array()).round().cast<int>().max(1);
+  ScalarVolume body;
+  body.grid.size = (ct.grid.size.array() / every).max(1).matrix();
+  body.grid.patient_from_index = ct.grid.patient_from_index * Eigen::Scaling(every.cast<double>().matrix().eval());
+  const Eigen::Vector3i size = body.grid.size;
+  body.values.resize(body.grid.voxelCount());
+  for (int k = 0; k < size.z(); ++k)
+  {
+    for (int j = 0; j < size.y(); ++j)
+    {
+      for (int i = 0; i < size.x(); ++i)
+      {
+        body.values[body.grid.offset(i, j, k)] =
+            ct.hu[ct.grid.offset(i * every.x(), j * every.y(), k * every.z())] > kTissue ? 1.0F : 0.0F;
+      }
+    }
+  }
+  const auto neighbours = [&](std::size_t at, const auto& visit)
+  {
+    const auto i = static_cast<int>(at) % size.x();
+    const auto j = static_cast<int>(at) / size.x() % size.y();
+    const auto k = static_cast<int>(at) / (size.x() * size.y());
+    for (int axis = 0; axis < 3; ++axis)
+    {
+      for (const int step : { -1, 1 })
+      {
+        Eigen::Vector3i next(i, j, k);
+        next[axis] += step;
+        // Beyond the CT the patient goes on.
+        visit((next.array() >= 0).all() && (next.array() < size.array()).all()
+                  ? body.grid.offset(next.x(), next.y(), next.z())
+                  : at);
+      }
+    }
+  };
+  const auto grow = [&](float value, int voxels)
+  {
+    for (int n = 0; n < voxels; ++n)
+    {
+      const std::vector<float> before = body.values;
+      for (std::size_t at = 0; at < before.size(); ++at)
+      {
+        neighbours(at, [&](std::size_t next) { body.values[at] = before[next] == value ? value : body.values[at]; });
+      }
+    }
+  };
+  grow(0.0F, 1);
+  std::vector<int> piece(body.values.size(), -1);
+  std::vector<std::size_t> sizes;
+  for (std::size_t start = 0; start < piece.size(); ++start)
+  {
+    if (body.values[start] == 0.0F || piece[start] >= 0)
+    {
+      continue;
+    }
+    const auto name = static_cast<int>(sizes.size());
+    sizes.push_back(0);
+    std::vector<std::size_t> front{ start };
+    piece[start] = name;
+    while (!front.empty())
+    {
+      const std::size_t at = front.back();
+      front.pop_back();
+      ++sizes.back();
+      neighbours(at,
+                 [&](std::size_t next)
+                 {
+                   if (body.values[next] > 0.0F && piece[next] < 0)
+                   {
+                     piece[next] = name;
+                     front.push_back(next);
+                   }
+                 });
+    }
+  }
+  const auto largest = static_cast<int>(std::max_element(sizes.begin(), sizes.end()) - sizes.begin());
+  for (std::size_t at = 0; at < piece.size(); ++at)
+  {
+    body.values[at] = !sizes.empty() && piece[at] == largest ? 1.0F : 0.0F;
+  }
+  grow(1.0F, 3);
+  return body;
+}
+
 cv::Mat windowed(const cv::Mat& hu, double level, double window)
 {
   cv::Mat grey;
@@ -257,10 +346,17 @@ Anatomy makeAnatomy(const AnatomySource& source, const std::atomic<bool>& stop)
   ScalarVolume values{ ct.volume.grid, std::vector<float>(ct.volume.hu.size()) };
   std::transform(ct.volume.hu.begin(), ct.volume.hu.end(), values.values.begin(),
                  [labels](std::int16_t hu) { return labels ? (hu > 0 ? 1.0F : 0.0F) : std::max(0.0F, hu + kAir); });
-  const SurfaceMesh bone = isoSurface(values, labels ? 0.5F : kBone + kAir, kMostTriangles, kLeastArea, stop);
+  SurfaceMesh bone = isoSurface(values, labels ? 0.5F : kBone + kAir, kMostTriangles, kLeastArea, stop);
   if (stop)
   {
     return anatomy;
+  }
+  if (ct.content == CtContent::FULL)
+  {
+    SurfaceMesh couch;
+    SurfaceMesh in_body;
+    splitByMask(bone, bodyOf(ct.volume), in_body, couch);
+    bone = std::move(in_body);
   }
   try
   {

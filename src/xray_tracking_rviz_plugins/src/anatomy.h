@@ -46,6 +46,10 @@ struct AnatomySource
 CtSlice sliceOf(const CtVolume& ct, const Eigen::Vector3d& centre, const Eigen::Vector3d& column_step,
                 const Eigen::Vector3d& row_step, const cv::Size& size);
 
+/// Where the patient is in a CT of him: 1 up to some millimetres around the largest body of soft tissue and bone that
+/// is no thin shell, 0 elsewhere as at the couch. Coarse.
+ScalarVolume bodyOf(const CtVolume& ct);
+
 /// 0 to 255 from level - window / 2 to level + window / 2.
 cv::Mat windowed(const cv::Mat& hu, double level, double window);
 

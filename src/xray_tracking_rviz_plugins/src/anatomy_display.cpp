@@ -142,6 +142,9 @@ void AnatomyDisplay::onInitialize()
   ellipsoid_text_ =
       std::make_unique<rviz::MovableText>(" ", "Liberation Sans", 0.012F, Ogre::ColourValue(0.85F, 0.95F, 1.0F));
   ellipsoid_text_->setTextAlignment(rviz::MovableText::H_LEFT, rviz::MovableText::V_CENTER);
+  // Seen through the bone that it is in.
+  ellipsoid_text_->showOnTop(true);
+  ellipsoid_shape_->getMaterial()->setDepthCheckEnabled(false);
   text_node_ = room_node_->createChildSceneNode();
   text_node_->attachObject(ellipsoid_text_.get());
   loader_ = std::make_unique<AnatomyLoader>((dataFolder() + "/anatomy").toStdString());
