@@ -12,12 +12,12 @@ namespace xray_tracking
 {
 namespace
 {
-constexpr int kSamples = 128;        // a row and column, at least
-constexpr double kLowShare = 0.01;   // percentiles
+constexpr int kSamples = 128;       // a row and column, at least
+constexpr double kLowShare = 0.01;  // percentiles
 constexpr double kHighShare = 0.99;
-constexpr double kMargin = 0.05;     // of the width, at either end
+constexpr double kMargin = 0.05;      // of the width, at either end
 constexpr double kManyPixels = 0.02;  // with one value at an end
-constexpr double kFollowing = 0.15;  // of the way, an image
+constexpr double kFollowing = 0.15;   // of the way, an image
 
 template <typename Value>
 void sampleInto(const cv::Mat& pixels, int step, std::vector<int>& values)

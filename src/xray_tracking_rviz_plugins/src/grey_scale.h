@@ -3,8 +3,8 @@
 #include <cstdint>
 #include <vector>
 
-#include <opencv2/core.hpp>
 #include <sensor_msgs/Image.h>
+#include <opencv2/core.hpp>
 
 namespace xray_tracking
 {
