@@ -375,7 +375,7 @@ void DetectorPane::refresh(const Room& room, tf2_ros::Buffer& transforms,
       drawing.note += "\n" + fault;
     }
   }
-  view_->setDarkBone(!setup_ || setup_->intensity.kind == IntensityModel::Kind::COUNTS);
+  view_->setCounts(!setup_ || setup_->intensity.kind == IntensityModel::Kind::COUNTS);
   view_->setImage(shown.image, shown.rendering);
   view_->setDrawing(drawing);
   if (region_row_->isVisible() && !view_->region() && !view_->hasFocus())

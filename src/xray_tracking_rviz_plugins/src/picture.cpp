@@ -76,7 +76,7 @@ cv::Mat greyRendering(const PictureRequest& request, cv::Mat& seen)
     low = values[values.size() / 50];
     high = std::max<double>(values[values.size() - 1 - values.size() / 200], low + 1e-6);
   }
-  const bool dark = request.dark_bone != request.inverted;
+  const bool dark = request.counts != request.inverted;
   const double scale = (dark ? -255.0 : 255.0) / (high - low);
   cv::Mat grey;
   integrals.convertTo(grey, CV_8U, scale, (dark ? 255.0 : 0.0) - scale * low);
@@ -160,14 +160,15 @@ Picture PictureMaker::make(const PictureRequest& request)
   try
   {
     picture.pixels = pixelsOf(request.image);
-    if (last_ != request.image)
+    if (last_ != request.image || last_window_.logarithmic != request.counts)
     {
       last_ = request.image;
-      last_window_ = follower_.follow(automaticWindow(picture.pixels));
+      last_window_ = follower_.follow(automaticWindow(picture.pixels, request.counts));
       cv::minMaxLoc(picture.pixels, nullptr, &last_largest_);
     }
     picture.largest = last_largest_;
     picture.window = request.automatic ? last_window_ : request.window;
+    picture.window.logarithmic = request.counts;
     cv::Mat grey;
     scale_.convert(seenPixels(picture.pixels, request), picture.window, request.inverted, grey);
     if (request.overlay != Overlay::NONE && request.rendering)

@@ -36,7 +36,7 @@ struct PictureRequest
   bool automatic = true;  ///< `window` is the image's own
   GreyWindow window;
   bool inverted = false;
-  bool dark_bone = true;  ///< of the image as it is
+  bool counts = true;  ///< pixel values are counts, with dark bone; else attenuation
   ViewMapping mapping;
   cv::Size size;  ///< of the picture, screen pixels
   Overlay overlay = Overlay::NONE;

@@ -97,7 +97,8 @@ void RadiographDisplay::Detector::convert()
     {
       cv::resize(pixels, pixels, cv::Size(), 1.0 / factor, 1.0 / factor, cv::INTER_AREA);
     }
-    const GreyWindow window = settings.automatic ? follower_.follow(automaticWindow(pixels)) : settings.window;
+    const GreyWindow window =
+        settings.automatic ? follower_.follow(automaticWindow(pixels, settings.window.logarithmic)) : settings.window;
     scale_.convert(pixels, window, settings.inverted, grey);
   }
   catch (const std::exception& error)
@@ -178,6 +179,7 @@ RadiographDisplay::Settings RadiographDisplay::settings() const
   settings.automatic = automatic_property_->getBool();
   settings.window.low = black_property_->getFloat();
   settings.window.high = std::max<double>(white_property_->getFloat(), settings.window.low + 1.0);
+  settings.window.logarithmic = !room_.setup || room_.setup->intensity.kind == IntensityModel::Kind::COUNTS;
   settings.inverted = inverted_property_->getBool();
   return settings;
 }
@@ -213,7 +215,12 @@ void RadiographDisplay::followRoom(float wall_dt)
     return;
   }
   since_room_ = 0.0F;
+  const std::shared_ptr<const TreatmentSetup> last_setup = room_.setup;
   room_ = watch_->room();
+  if (room_.setup != last_setup)
+  {
+    updateWindow();
+  }
   std::istringstream wished(detectors_property_->getStdString());
   std::vector<std::string> names(std::istream_iterator<std::string>(wished), {});
   if (names.empty())

@@ -396,7 +396,7 @@ void RadiographPanel::load(const rviz::Config& config)
     const rviz::Config entry = window.currentChild();
     if (entry.mapGetFloat("Black", &low) && entry.mapGetFloat("White", &high) && low < high)
     {
-      saved_windows_[window.currentKey().toStdString()] = { low, high };
+      saved_windows_[window.currentKey().toStdString()] = { low, high, true };
     }
   }
   if (!saved_windows_.empty())

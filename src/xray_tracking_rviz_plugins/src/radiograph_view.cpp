@@ -69,11 +69,11 @@ void RadiographView::setInverted(bool inverted)
   request();
 }
 
-void RadiographView::setDarkBone(bool dark_bone)
+void RadiographView::setCounts(bool counts)
 {
-  if (dark_bone != next_.dark_bone)
+  if (counts != next_.counts)
   {
-    next_.dark_bone = dark_bone;
+    next_.counts = counts;
     request();
   }
 }
@@ -214,7 +214,7 @@ void RadiographView::paintEvent(QPaintEvent*)
       {
         path.lineTo(toQt(mapping.toWidget(point)));
       }
-      painter.setPen(QPen(look::kAccent, 1.5));
+      painter.setPen(QPen(look::kAccent, 1.2));
       painter.drawPath(path);
     }
     if (drawing_.now)

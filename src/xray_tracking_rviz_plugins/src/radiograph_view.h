@@ -45,7 +45,8 @@ public:
   void setDrawing(const Drawing& drawing);
   void setOverlay(Overlay overlay, double share);
   void setInverted(bool inverted);
-  void setDarkBone(bool dark_bone);
+  /// Pixel values are counts, with dark bone; else attenuation.
+  void setCounts(bool counts);
   /// @param window none: automatic
   void setWindow(const std::optional<GreyWindow>& window);
   /// Text of the line at the bottom.
