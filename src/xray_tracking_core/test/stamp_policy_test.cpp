@@ -1,5 +1,7 @@
 #include "xray_tracking_core/sequence/stamp_policy.h"
 
+#include <string>
+
 #include <gtest/gtest.h>
 
 namespace xray_tracking
@@ -82,6 +84,37 @@ TEST(StampPolicyTest, comparesStampsThatAreAsFarApartAsTheyCanBe)
   EXPECT_EQ(Verdict::RESTART, policy.take(0, 0));
   EXPECT_EQ(Verdict::FUTURE, policy.take(kEnd, 1));
   EXPECT_EQ(Verdict::ACCEPT, policy.take(kEnd, kEnd));
+}
+
+TEST(StampPolicyTest, canBeStricterAboutTheFuture)
+{
+  StampPolicy policy(StampPolicy::Options{ 5, 0 });
+  EXPECT_EQ(Verdict::ACCEPT, policy.take(kNow + 5, kNow));
+  EXPECT_EQ(Verdict::FUTURE, policy.take(kNow + 7, kNow + 1));
+  EXPECT_NE(std::string::npos, policy.why().find("expected 0.000000005 s at most")) << policy.why();
+}
+
+TEST(StampPolicyTest, canWantARestartConfirmed)
+{
+  StampPolicy policy(StampPolicy::Options{ kSecond, kSecond });
+  const auto old = [&](std::int64_t tenths)
+  { return policy.take(tenths * kSecond / 10, kNow + tenths * kSecond / 10); };
+  EXPECT_EQ(Verdict::ACCEPT, policy.take(kNow, kNow));
+  for (int i = 0; i < 10; ++i)
+  {
+    EXPECT_EQ(Verdict::REPEATED_OR_LATE, old(i)) << i;
+  }
+  // A single new one, and it was no restart after all.
+  EXPECT_EQ(Verdict::ACCEPT, policy.take(kNow + kSecond, kNow + kSecond));
+  for (int i = 11; i < 21; ++i)
+  {
+    EXPECT_EQ(Verdict::REPEATED_OR_LATE, old(i)) << i;
+  }
+  EXPECT_EQ(Verdict::RESTART, old(21));
+  EXPECT_EQ(Verdict::ACCEPT, old(22));
+  // The clock goes back with the stamps: nothing else to wait for.
+  policy.take(kNow, kNow);
+  EXPECT_EQ(Verdict::RESTART, policy.take(5 * kSecond, 5 * kSecond));
 }
 
 TEST(StampPolicyTest, forgetsWhenTold)

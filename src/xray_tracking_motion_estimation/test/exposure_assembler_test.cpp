@@ -11,11 +11,14 @@ namespace
 using Outcome = ExposureAssembler<std::string>::Outcome;
 constexpr std::int64_t kSecond = 1000000000;
 
-/// With a clock that shows what a test sets, or a time after all stamps.
+/// As the node's, with a clock that shows what a test sets, or a time after all stamps.
 class Assembler : public ExposureAssembler<std::string>
 {
 public:
-  using ExposureAssembler<std::string>::ExposureAssembler;
+  Assembler(std::size_t views, std::size_t capacity, std::int64_t tolerance = 0, std::int64_t max_ahead = 0)
+    : ExposureAssembler<std::string>(views, capacity, tolerance, { max_ahead, kSecond })
+  {
+  }
   Outcome add(std::size_t view, std::int64_t stamp, const std::string& item)
   {
     return ExposureAssembler<std::string>::add(view, stamp, item, now);

@@ -89,7 +89,7 @@ TEST_P(StreamStress, NothingGrowsNothingStaleGateShutInDoubt)
   gate_options.max_displacement = 11.0;  // deep breaths are over it
   gate_options.verification.initial_pose_verified = true;
   BeamGate gate(gate_options);
-  ExposureAssembler<Delivery> assembler(kViews, 100);
+  ExposureAssembler<Delivery> assembler(kViews, 100, 0, { 0, 1000000000 });
   PosePredictor predictor({}, traceTarget());
   PoseHistory history(1000);
 

@@ -17,7 +17,7 @@ protected:
   void addInfo(std::size_t detector, std::int64_t stamp)
   {
     EXPECT_EQ("", store_.takeCameraInfo(detector, stamp, kNow));
-    store_.keepCameraInfo(detector, stamp, boost::make_shared<sensor_msgs::CameraInfo>());
+    store_.keepCameraInfo(detector, stamp, boost::make_shared<sensor_msgs::CameraInfo>(), std::nullopt);
   }
   void addImage(std::size_t detector, std::int64_t stamp)
   {

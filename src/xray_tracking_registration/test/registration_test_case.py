@@ -55,12 +55,18 @@ class RegistrationTestCase(unittest.TestCase):
         cls.corners = np.stack(np.meshgrid(*axes, [1.0], indexing="ij"), -1).reshape(-1, 4).T
         cls.exposures = cls.record_exposures()
         cls.tf_static = rospy.Publisher("/tf_static", TFMessage, queue_size=1, latch=True)
-        frames = TFMessage()
+        cls.frames = {}
+        cls.send_frames("optical_frame")
+
+    @classmethod
+    def send_frames(cls, suffix, x=0.0):
+        """Where the detectors are, in frames of that name, moved along room x [m]."""
         for name, source, turn in zip(DETECTORS, SOURCES, TURNS):
-            frame = TransformStamped(child_frame_id=f"{name}_optical_frame", transform=Transform(source, turn))
+            frame = TransformStamped(child_frame_id=f"{name}_{suffix}",
+                                     transform=Transform(Vector3(source.x + x, source.y, source.z), turn))
             frame.header.frame_id = "treatment_room"
-            frames.transforms.append(frame)
-        cls.tf_static.publish(frames)
+            cls.frames[frame.child_frame_id] = frame
+        cls.tf_static.publish(TFMessage(list(cls.frames.values())))
 
     @classmethod
     def record_exposures(cls):

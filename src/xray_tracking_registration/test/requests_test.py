@@ -114,6 +114,34 @@ class RequestsTest(RegistrationTestCase):
         request.camera_infos = []
         self.check_bad(request, RefinementResult.INVALID, "number of camera_infos is 0")
 
+    def test_tf_late_and_changed(self):
+        """A camera's frame that tf does not know yet counts once it does; moved, it counts from the next exposure on."""
+        moved = copy.deepcopy(self.exposure)
+        for name in DETECTORS:
+            moved.camera_infos[name].header.frame_id = f"{name}_late"
+        self.sender.send(moved, rospy.Time(102))
+        result = None
+
+        def ask(stamp, x=0.0):
+            nonlocal result
+            result = self.service(self.good(stamp=stamp, seed=shifted(self.exposure.truth, x + 0.0015, -0.001, 0.0015))
+                                  ).result
+            return result
+
+        self.wait_for(lambda: ask(rospy.Time(102)).status != RefinementResult.NO_EXPOSURE, "the exposure")
+        self.assertEqual(result.status, RefinementResult.INVALID, result.reason)
+        self.assertIn("_late", result.reason)
+        self.send_frames("late")
+        self.wait_for(lambda: ask(rospy.Time(102)).status != RefinementResult.INVALID, "late tf")
+        self.check_good(result)
+        # Both detectors, so the pose moves as they do. tf comes in another thread than exposures.
+        self.send_frames("late", 0.02)
+        time.sleep(0.5)
+        self.sender.send(moved, rospy.Time(103))
+        self.wait_for(lambda: ask(rospy.Time(103), 0.02).status != RefinementResult.NO_EXPOSURE, "the exposure")
+        self.assertEqual(result.status, RefinementResult.SUCCESS, result.reason)
+        self.assertLess(self.error_mm(result.pose.pose, shifted(self.exposure.truth, 0.02, 0.0, 0.0)), 0.5)
+
     def test_bad_seed(self):
         self.check_bad(self.good(seed=shifted(self.exposure.truth, float("nan"), 0, 0)), RefinementResult.INVALID,
                        "seed", "nan")

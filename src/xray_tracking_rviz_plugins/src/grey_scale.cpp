@@ -12,12 +12,12 @@ namespace xray_tracking
 {
 namespace
 {
-constexpr int kSamples = 128;        // a row and column, at least
-constexpr double kLowShare = 0.01;   // percentiles
+constexpr int kSamples = 128;       // a row and column, at least
+constexpr double kLowShare = 0.01;  // percentiles
 constexpr double kHighShare = 0.99;
-constexpr double kMargin = 0.05;     // of the width, at either end
+constexpr double kMargin = 0.05;      // of the width, at either end
 constexpr double kManyPixels = 0.02;  // with one value at an end
-constexpr double kFollowing = 0.15;  // of the way, an image
+constexpr double kFollowing = 0.15;   // of the way, an image
 
 template <typename Value>
 void sampleInto(const cv::Mat& pixels, int step, std::vector<int>& values)
@@ -68,14 +68,27 @@ cv::Mat pixelsOf(const sensor_msgs::ImageConstPtr& image)
   return cv_bridge::toCvShare(image)->image;
 }
 
-GreyWindow GreyWindow::adjusted(double brighter, double wider) const
+double GreyWindow::tone(double value) const
 {
-  const double new_width = std::clamp(width() * std::exp2(std::clamp(wider, -8.0, 8.0)), 1.0, 131072.0);
-  const double new_level = std::clamp(level() - brighter * width(), -65536.0, 131072.0);
-  return { new_level - 0.5 * new_width, new_level + 0.5 * new_width };
+  return logarithmic ? std::log(std::max(value, 1.0)) : value;
 }
 
-GreyWindow automaticWindow(const cv::Mat& pixels)
+double GreyWindow::value(double tone) const
+{
+  return logarithmic ? std::exp(tone) : tone;
+}
+
+GreyWindow GreyWindow::adjusted(double brighter, double wider) const
+{
+  const double least = logarithmic ? 0.05 : 1.0;  // width
+  const double bottom = tone(0.0), top = tone(65535.0);
+  const double width = tone(high) - tone(low);
+  const double new_width = std::clamp(width * std::exp2(std::clamp(wider, -8.0, 8.0)), least, 2.0 * (top - bottom));
+  const double level = std::clamp(0.5 * (tone(low) + tone(high)) - brighter * width, bottom, top);
+  return { value(level - 0.5 * new_width), value(level + 0.5 * new_width), logarithmic };
+}
+
+GreyWindow automaticWindow(const cv::Mat& pixels, bool logarithmic)
 {
   const int step = std::max(1, std::min(pixels.rows, pixels.cols) / kSamples);
   std::vector<int> values;
@@ -100,16 +113,20 @@ GreyWindow automaticWindow(const cv::Mat& pixels)
     last = below;
   }
   const auto at = [&](double share) { return static_cast<double>(first[std::lround(share * (last - first - 1))]); };
-  const double low = at(kLowShare), high = std::max(at(kHighShare), low + 1.0);
+  GreyWindow window{ at(kLowShare), std::max(at(kHighShare), at(kLowShare) + 1.0), logarithmic };
+  const double low = window.tone(window.low), high = std::max(window.tone(window.high), low + 1e-3);
   const double margin = kMargin * (high - low);
-  return { low - margin, high + margin };
+  return { window.value(low - margin), window.value(high + margin), logarithmic };
 }
 
 GreyWindow WindowFollower::follow(const GreyWindow& automatic)
 {
-  const bool elsewhere = !known_ || automatic.low > window_.high || automatic.high < window_.low ||
-                         automatic.width() > 2.0 * window_.width() || 2.0 * automatic.width() < window_.width();
+  const double width = window_.tone(window_.high) - window_.tone(window_.low);
+  const double new_width = automatic.tone(automatic.high) - automatic.tone(automatic.low);
+  const bool elsewhere = !known_ || automatic.logarithmic != window_.logarithmic || automatic.low > window_.high ||
+                         automatic.high < window_.low || new_width > 2.0 * width || 2.0 * new_width < width;
   const double share = elsewhere ? 1.0 : kFollowing;
+  window_.logarithmic = automatic.logarithmic;
   window_.low += share * (automatic.low - window_.low);
   window_.high += share * (automatic.high - window_.high);
   known_ = true;
@@ -118,16 +135,18 @@ GreyWindow WindowFollower::follow(const GreyWindow& automatic)
 
 void GreyScale::convert(const cv::Mat& pixels, const GreyWindow& window, bool inverted, cv::Mat& grey)
 {
-  if (table_.empty() || window.low != window_.low || window.high != window_.high || inverted != inverted_)
+  if (table_.empty() || window.low != window_.low || window.high != window_.high ||
+      window.logarithmic != window_.logarithmic || inverted != inverted_)
   {
     window_ = window;
     inverted_ = inverted;
     table_.resize(65536);
-    const double scale = 255.0 / std::max(window.width(), 1e-6);
+    const double low = window.tone(window.low);
+    const double scale = 255.0 / std::max(window.tone(window.high) - low, 1e-6);
     for (std::size_t value = 0; value < table_.size(); ++value)
     {
       const auto grey_value = static_cast<std::uint8_t>(
-          std::lround(std::clamp((static_cast<double>(value) - window.low) * scale, 0.0, 255.0)));
+          std::lround(std::clamp((window.tone(static_cast<double>(value)) - low) * scale, 0.0, 255.0)));
       table_[value] = inverted ? static_cast<std::uint8_t>(255 - grey_value) : grey_value;
     }
   }

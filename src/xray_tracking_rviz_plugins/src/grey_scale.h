@@ -3,8 +3,8 @@
 #include <cstdint>
 #include <vector>
 
-#include <opencv2/core.hpp>
 #include <sensor_msgs/Image.h>
+#include <opencv2/core.hpp>
 
 namespace xray_tracking
 {
@@ -18,17 +18,21 @@ struct GreyWindow
 {
   double low = 0.0;
   double high = 1.0;
+  /// Greys in between go by the logarithm of the value (1 and less: 0), as attenuation does; else by the value.
+  bool logarithmic = true;
 
-  double level() const { return 0.5 * (low + high); }
-  double width() const { return high - low; }
+  /// What greys are proportional to.
+  double tone(double value) const;
+  /// Of it, the value.
+  double value(double tone) const;
   /// By as much of the width to brighter or darker, and wider or narrower; each of 1 doubles or halves the width, or
-  /// moves by it. Width stays at 1 pixel value or more.
+  /// moves by it.
   GreyWindow adjusted(double brighter, double wider) const;
 };
 
 /// The window between the 1st and 99th percentile of the pixels, with a margin. A value at an end that many pixels
 /// have does not count: blocked field, saturated air. @param pixels CV_8UC1 or CV_16UC1
-GreyWindow automaticWindow(const cv::Mat& pixels);
+GreyWindow automaticWindow(const cv::Mat& pixels, bool logarithmic);
 
 /// The automatic window over time: follows slowly, so that noise and what moves do not make the picture flicker.
 class WindowFollower

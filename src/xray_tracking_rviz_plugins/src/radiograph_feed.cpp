@@ -10,9 +10,9 @@ ros::Time exposureToShow(const std::vector<ros::Time>& images, const std::vector
 {
   for (auto image = images.rbegin(); image != images.rend() && (images.back() - *image).toSec() <= patience; ++image)
   {
-    const bool complete =
-        std::all_of(others.begin(), others.end(),
-                    [&](const auto& stamps) { return std::find(stamps.begin(), stamps.end(), *image) != stamps.end(); });
+    const bool complete = std::all_of(others.begin(), others.end(),
+                                      [&](const auto& stamps)
+                                      { return std::find(stamps.begin(), stamps.end(), *image) != stamps.end(); });
     if (complete)
     {
       return *image;
@@ -21,8 +21,7 @@ ros::Time exposureToShow(const std::vector<ros::Time>& images, const std::vector
   return images.back();
 }
 
-RadiographFeed::RadiographFeed(const ros::NodeHandle& nh, const std::string& detector,
-                               std::function<void()> image_came)
+RadiographFeed::RadiographFeed(const ros::NodeHandle& nh, const std::string& detector, ImageCame image_came)
   : detector_(detector), image_came_(std::move(image_came)), nh_(nh)
 {
   nh_.setCallbackQueue(&queue_);
@@ -66,7 +65,7 @@ void RadiographFeed::takeImage(const sensor_msgs::ImageConstPtr& image)
   }
   if (image_came_)
   {
-    image_came_();
+    image_came_(image);
   }
 }
 

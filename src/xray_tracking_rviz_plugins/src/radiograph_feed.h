@@ -93,8 +93,9 @@ public:
   };
 
   /// @param detector name, relative to nh's namespace, or resolved
-  /// @param image_came called in the thread after every image; may be empty
-  RadiographFeed(const ros::NodeHandle& nh, const std::string& detector, std::function<void()> image_came);
+  using ImageCame = std::function<void(const sensor_msgs::ImageConstPtr& image)>;
+  /// @param image_came called in the thread with every image; may be empty
+  RadiographFeed(const ros::NodeHandle& nh, const std::string& detector, ImageCame image_came);
   ~RadiographFeed();
 
   RadiographFeed(const RadiographFeed&) = delete;
@@ -109,7 +110,7 @@ private:
   void takeImage(const sensor_msgs::ImageConstPtr& image);
 
   std::string detector_;
-  std::function<void()> image_came_;
+  ImageCame image_came_;
   mutable std::mutex mutex_;
   Messages messages_;
   std::deque<ros::SteadyTime> arrivals_;

@@ -23,13 +23,13 @@ const Ogre::ColourValue kOutlineColour(0.55F, 0.65F, 0.75F, 0.9F);
 const Ogre::ColourValue kRayColour(1.0F, 0.83F, 0.35F, 0.8F);
 const Ogre::ColourValue kEdgeColour(1.0F, 0.83F, 0.35F, 0.22F);
 const Ogre::ColourValue kFieldColour(1.0F, 0.83F, 0.35F, 0.035F);
-constexpr float kLineWidth = 0.0025F;    // [m]
+constexpr float kLineWidth = 0.0025F;     // [m]
 constexpr float kSourceDiameter = 0.05F;  // [m]
 
 Ogre::MaterialPtr makeMaterial(const std::string& name)
 {
-  Ogre::MaterialPtr material = Ogre::MaterialManager::getSingleton().create(
-      name, Ogre::ResourceGroupManager::DEFAULT_RESOURCE_GROUP_NAME, true);
+  Ogre::MaterialPtr material =
+      Ogre::MaterialManager::getSingleton().create(name, Ogre::ResourceGroupManager::DEFAULT_RESOURCE_GROUP_NAME, true);
   material->setReceiveShadows(false);
   material->setLightingEnabled(false);
   material->setCullingMode(Ogre::CULL_NONE);
@@ -170,6 +170,7 @@ void RadiographPlane::setImage(const cv::Mat& grey)
     Ogre::TextureUnitState* unit = pass->createTextureUnitState(texture_->getName());
     unit->setTextureAddressingMode(Ogre::TextureUnitState::TAM_CLAMP);
     unit->setTextureFiltering(Ogre::TFO_BILINEAR);
+    setOpacity(opacity_);
   }
   const cv::Mat tight = grey.isContinuous() ? grey : grey.clone();
   texture_->getBuffer()->blitFromMemory(Ogre::PixelBox(width, height, 1, Ogre::PF_L8, tight.data));
@@ -177,12 +178,11 @@ void RadiographPlane::setImage(const cv::Mat& grey)
 
 void RadiographPlane::setOpacity(double opacity)
 {
-  Ogre::Pass* pass = material_->getTechnique(0)->getPass(0);
+  opacity_ = opacity;
   const bool clear = opacity < 0.999;
   material_->setSceneBlending(clear ? Ogre::SBT_TRANSPARENT_ALPHA : Ogre::SBT_REPLACE);
   material_->setDepthWriteEnabled(!clear);
-  pass->setDiffuse(1.0F, 1.0F, 1.0F, static_cast<float>(opacity));
-  for (Ogre::TextureUnitState* unit : pass->getTextureUnitStates())
+  for (Ogre::TextureUnitState* unit : material_->getTechnique(0)->getPass(0)->getTextureUnitStates())
   {
     unit->setAlphaOperation(Ogre::LBX_SOURCE1, Ogre::LBS_MANUAL, Ogre::LBS_CURRENT, static_cast<float>(opacity));
   }

@@ -47,7 +47,6 @@ public:
   void setVisible(bool visible);
 
 private:
-
   Ogre::SceneManager* scene_;
   Ogre::SceneNode* node_;
   Ogre::SceneNode* rays_node_;
@@ -57,6 +56,7 @@ private:
   Ogre::MaterialPtr material_;
   Ogre::MaterialPtr field_material_;
   Ogre::TexturePtr texture_;
+  double opacity_ = 1.0;
   std::unique_ptr<rviz::BillboardLine> outline_;
   std::unique_ptr<rviz::BillboardLine> edges_;
   std::unique_ptr<rviz::BillboardLine> central_ray_;

@@ -3,9 +3,9 @@
 #include <algorithm>
 #include <chrono>
 
-#include <boost/filesystem.hpp>
 #include <ros/master.h>
 #include <ros/this_node.h>
+#include <boost/filesystem.hpp>
 
 namespace xray_tracking
 {
@@ -24,8 +24,7 @@ std::vector<std::string> detectorsOf(const std::vector<std::string>& topics, con
   std::vector<std::string> detectors;
   for (const std::string& topic : topics)
   {
-    if (topic.size() <= kImage.size() + 1 ||
-        topic.compare(topic.size() - kImage.size(), kImage.size(), kImage) != 0)
+    if (topic.size() <= kImage.size() + 1 || topic.compare(topic.size() - kImage.size(), kImage.size(), kImage) != 0)
     {
       continue;
     }

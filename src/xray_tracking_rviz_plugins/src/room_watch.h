@@ -16,11 +16,11 @@ namespace xray_tracking
 /// What the master knows of the treatment room.
 struct Room
 {
-  bool asked = false;                          ///< whether the master has been asked at all
-  bool master = false;                         ///< whether it answered the last time
-  std::vector<std::string> detectors;          ///< see detectorsOf()
+  bool asked = false;                           ///< whether the master has been asked at all
+  bool master = false;                          ///< whether it answered the last time
+  std::vector<std::string> detectors;           ///< see detectorsOf()
   std::shared_ptr<const TreatmentSetup> setup;  ///< null if there is none
-  std::string setup_fault;                     ///< why there is none, for people
+  std::string setup_fault;                      ///< why there is none, for people
 };
 
 /// The detectors in a list of topics, which are those with an `image_raw`: sorted, and without the namespace where they

@@ -19,23 +19,42 @@ std::string seconds(std::int64_t nanoseconds)
 StampPolicy::Verdict StampPolicy::take(std::int64_t stamp_ns, std::int64_t now_ns)
 {
   stamp_ = stamp_ns;
-  if (now_ns != 0 && stamp_ns - now_ns > kJump)
+  if (now_ns != 0 && stamp_ns - now_ns > options_.max_ahead)
   {
     compared_ = now_ns;
     return verdict_ = Verdict::FUTURE;
   }
-  if (last_ && stamp_ns <= *last_)
+  if (!last_ || stamp_ns > *last_)
   {
-    compared_ = *last_;
-    if (*last_ - stamp_ns <= kJump)
-    {
-      return verdict_ = Verdict::REPEATED_OR_LATE;
-    }
-    last_ = stamp_ns;
-    return verdict_ = Verdict::RESTART;
+    return accept(stamp_ns, Verdict::ACCEPT);
   }
-  last_ = stamp_ns;
-  return verdict_ = Verdict::ACCEPT;
+  compared_ = *last_;
+  if (isRepeatedOrLate(stamp_ns, *last_) || !isRestart(stamp_ns, now_ns))
+  {
+    return verdict_ = Verdict::REPEATED_OR_LATE;
+  }
+  return accept(stamp_ns, Verdict::RESTART);
+}
+
+StampPolicy::Verdict StampPolicy::accept(std::int64_t stamp, Verdict verdict)
+{
+  last_ = stamp;
+  older_.reset();
+  return verdict_ = verdict;
+}
+
+bool StampPolicy::isRestart(std::int64_t stamp, std::int64_t now)
+{
+  if (options_.restart_confirmed == 0 || (now != 0 && *last_ - now > options_.max_ahead))
+  {
+    return true;  // the last one was not of the future when it came
+  }
+  if (!older_ || stamp <= older_->stamp)
+  {
+    older_ = Older{ stamp, now };
+  }
+  older_->stamp = stamp;
+  return now - older_->since >= options_.restart_confirmed;
 }
 
 std::string StampPolicy::why() const
@@ -44,7 +63,7 @@ std::string StampPolicy::why() const
   {
     case Verdict::FUTURE:
       return "the stamp " + seconds(stamp_) + " is " + seconds(stamp_ - compared_) + " in the future, expected " +
-             seconds(kJump) + " at most (the clock is at " + seconds(compared_) + ")";
+             seconds(options_.max_ahead) + " at most (the clock is at " + seconds(compared_) + ")";
     case Verdict::REPEATED_OR_LATE:
       return "the stamp " + seconds(stamp_) + " is not newer than the last one, " + seconds(compared_);
     case Verdict::RESTART:

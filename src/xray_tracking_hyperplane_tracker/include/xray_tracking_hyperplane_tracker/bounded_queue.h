@@ -9,18 +9,19 @@
 
 namespace xray_tracking
 {
+/// What a queue has dropped so far.
+struct QueueDrops
+{
+  std::size_t full = 0;     ///< because the queue was
+  std::size_t overdue = 0;  ///< because a newer one was there and the next in turn was overdue
+};
+
 /// Hands items from one thread to another in order. Dropped and counted are the oldest one when it is full, and, when
 /// the taker is too slow, all but the newest.
 template <typename Item>
 class BoundedQueue
 {
 public:
-  struct Drops
-  {
-    std::size_t full = 0;     ///< because the queue was
-    std::size_t overdue = 0;  ///< because a newer one was there and the next in turn was overdue
-  };
-
   explicit BoundedQueue(std::size_t capacity) : capacity_(capacity) {}
 
   void push(Item item)
@@ -69,7 +70,7 @@ public:
     changed_.notify_all();
   }
 
-  Drops drops() const
+  QueueDrops drops() const
   {
     const std::lock_guard<std::mutex> lock(mutex_);
     return drops_;
@@ -80,7 +81,7 @@ private:
   mutable std::mutex mutex_;
   std::condition_variable changed_;
   std::deque<Item> items_;
-  Drops drops_;
+  QueueDrops drops_;
   bool closed_ = false;
 };
 }  // namespace xray_tracking

@@ -5,8 +5,11 @@
 #include <cstdint>
 #include <cstdlib>
 #include <optional>
+#include <string>
 #include <utility>
 #include <vector>
+
+#include "xray_tracking_core/sequence/stamp_policy.h"
 
 namespace xray_tracking
 {
@@ -14,9 +17,7 @@ namespace xray_tracking
 /// a tolerance. Exposures come out complete and in the order of their stamps; whatever else arrives is counted. A
 /// view's own items are expected in the order of their stamps, the views relative to each other in any order.
 ///
-/// An exposure more than a second older than the last one is late, too, unless time has gone back: the last one is of
-/// the future by now, or for a second nothing but such exposures came, each later than the one before it (a recording
-/// that is played again without its clock).
+/// Which stamps count, StampPolicy says: an exposure's, once it is complete.
 ///
 /// Memory is allocated by the constructor only.
 template <typename Item>
@@ -34,12 +35,12 @@ public:
 
   /// @param capacity number of incomplete exposures kept, 1 or more; what has waited longest gives way
   /// @param tolerance of stamps of one exposure [ns], less than half the time between exposures; 0: the same stamp
-  /// @param max_ahead how far stamps may be ahead of the clock [ns]
-  ExposureAssembler(std::size_t views, std::size_t capacity, std::int64_t tolerance = 0, std::int64_t max_ahead = 0)
+  ExposureAssembler(std::size_t views, std::size_t capacity, std::int64_t tolerance = 0,
+                    const StampPolicy::Options& stamps = {})
     : views_(views),
       capacity_(capacity),
       tolerance_(tolerance),
-      max_ahead_(max_ahead),
+      policy_(stamps),
       expected_(views, true),
       slots_(capacity + 1)
   {
@@ -61,7 +62,8 @@ public:
   /// @param now by the clock that stamps are of [ns]
   Outcome add(std::size_t view, std::int64_t stamp, Item item, std::int64_t now)
   {
-    if (!last_.empty() && stamp < last_[view] && stamp >= last_[view] - kBackwardJump)
+    const bool repeated = !last_.empty() && stamp == last_[view];
+    if (!repeated && !last_.empty() && StampPolicy::isRepeatedOrLate(stamp, last_[view]))
     {
       ++late_;
       return Outcome::LATE;
@@ -69,7 +71,7 @@ public:
     const auto waiting = slots_.begin() + static_cast<std::ptrdiff_t>(used_);
     const bool known = std::any_of(slots_.begin(), waiting,
                                    [&](const Slot& slot) { return slot.items[view] && slot.stamps[view] == stamp; });
-    if (known || (!last_.empty() && stamp == last_[view]))
+    if (known || repeated)
     {
       ++duplicates_;
       return Outcome::DUPLICATE;
@@ -111,6 +113,9 @@ public:
   /// How much later than stamp() a view's item of it was exposed [ns].
   std::int64_t offset(std::size_t view) const { return stamps_[view] - stamps_.front(); }
 
+  /// Why the last exposure was FUTURE, or restarted(), in words.
+  std::string why() const { return policy_.why(); }
+
   /// True if the last complete exposure is the first one after a backward jump of time.
   bool restarted() const { return restarted_; }
 
@@ -121,9 +126,6 @@ public:
   std::size_t future() const { return future_; }          ///< exposures
 
 private:
-  static constexpr std::int64_t kBackwardJump = 1000000000;      // ns, of stamps
-  static constexpr std::int64_t kRestartConfirmed = 1000000000;  // ns, of the clock
-
   struct Slot
   {
     std::int64_t stamp = 0;  ///< its first item's
@@ -149,9 +151,8 @@ private:
     const Slot* const completed = &*slot;
     const std::int64_t begun = slot->stamp;
     const std::int64_t stamp = slot->items.front() ? slot->stamps.front() : begun;
-    const bool future = stamp > now + max_ahead_;
-    const bool older = !last_.empty() && stamp < last_.front();
-    if (!future && older && !timeWentBack(stamp, now))
+    const StampPolicy::Verdict verdict = policy_.take(stamp, now);
+    if (verdict == StampPolicy::Verdict::REPEATED_OR_LATE)
     {
       late_ += static_cast<std::size_t>(std::count_if(
           slot->items.begin(), slot->items.end(), [](const std::optional<Item>& item) { return item.has_value(); }));
@@ -164,7 +165,7 @@ private:
       exposure_.push_back(slot->items[view] ? std::move(*slot->items[view]) : Item());
       stamps_[view] = slot->items[view] ? slot->stamps[view] : begun;
     }
-    if (future)
+    if (verdict == StampPolicy::Verdict::FUTURE)
     {
       ++future_;
       restarted_ = false;
@@ -172,8 +173,7 @@ private:
       return Outcome::FUTURE;
     }
 
-    restarted_ = older;
-    older_.reset();
+    restarted_ = verdict == StampPolicy::Verdict::RESTART;
     // What began to wait before this exposure and is older was overtaken; what began later and is older belongs to a
     // recording that starts again. After such a start, what is newer than its end belongs to the time before it.
     incomplete_ += giveUp(
@@ -185,21 +185,6 @@ private:
                    1;  // the completed one itself is none
     last_ = stamps_;
     return Outcome::COMPLETE;
-  }
-
-  /// @param stamp of an exposure that is older than the last one
-  bool timeWentBack(std::int64_t stamp, std::int64_t now)
-  {
-    if (last_.front() > now + max_ahead_)
-    {
-      return true;  // it was not so when it came
-    }
-    if (!older_ || stamp <= older_->stamp)
-    {
-      older_ = Older{ stamp, now };
-    }
-    older_->stamp = stamp;
-    return now - older_->since >= kRestartConfirmed;
   }
 
   /// @return how many
@@ -224,19 +209,13 @@ private:
   std::size_t views_;
   std::size_t capacity_;
   std::int64_t tolerance_;
-  std::int64_t max_ahead_;
+  StampPolicy policy_;  ///< of complete exposures
   std::vector<bool> expected_;
   std::vector<Slot> slots_;  ///< the first `used_` are in use, in the order in which they began to wait
   std::size_t used_ = 0;
   std::vector<Item> exposure_;
   std::vector<std::int64_t> stamps_;  ///< of exposure_
   std::vector<std::int64_t> last_;    ///< of the last complete exposure; empty before
-  struct Older
-  {
-    std::int64_t stamp;  ///< of the latest one
-    std::int64_t since;  ///< when the first one came
-  };
-  std::optional<Older> older_;  ///< exposures older than the last one that came since it
   bool restarted_ = false;
   std::size_t incomplete_ = 0;
   std::size_t duplicates_ = 0;

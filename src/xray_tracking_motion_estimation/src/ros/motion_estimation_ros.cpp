@@ -34,12 +34,13 @@ static_assert(static_cast<int>(PoseSource::NONE) == PatientMotion::NONE);
 static_assert(static_cast<int>(PoseSource::TRACKED) == PatientMotion::TRACKED);
 static_assert(static_cast<int>(PoseSource::REGISTERED) == PatientMotion::REGISTERED);
 
-/// A stamp may be ahead by what two computers' clocks usually differ [ns].
+/// A stamp may be ahead by what two computers' clocks usually differ. Messages of a played bag are ahead of the last
+/// tick of its clock by up to a tick: 10 ms, times the playback's speed, which may be a hundred [ns].
 constexpr std::int64_t kMaxAhead = 5000000;
-
-/// Messages of a played bag are ahead of the last tick of its clock by up to a tick: 10 ms, times the playback's speed,
-/// which may be a hundred [ns].
 constexpr std::int64_t kClockTick = 1000000000;
+
+/// A recording that is played again without its clock is told from old exposures that come once more [ns].
+constexpr std::int64_t kRestartConfirmed = 1000000000;
 
 std::int64_t nanosecondsFromSeconds(double seconds)
 {
@@ -178,7 +179,7 @@ void MotionEstimationRos::start()
   const std::vector<std::string>& detectors = parameters_.monitor.tracks.views;
   assembler_.emplace(detectors.size(), parameters_.queue_size,
                      nanosecondsFromSeconds(parameters_.monitor.tracks.pairing_tolerance),
-                     ros::Time::isSimTime() ? kClockTick : kMaxAhead);
+                     StampPolicy::Options{ ros::Time::isSimTime() ? kClockTick : kMaxAhead, kRestartConfirmed });
   views_.resize(detectors.size());
   for (std::size_t i = 0; i < detectors.size(); ++i)
   {
@@ -233,8 +234,9 @@ void MotionEstimationRos::trackedRegionCb(const TrackedRegion::ConstPtr& message
   }
   using Outcome = ExposureAssembler<TrackedRegion::ConstPtr>::Outcome;
   const ros::Time now = ros::Time::now();
-  const Outcome outcome =
-      assembler_->add(view, nanosecondsFromTime(message->header.stamp), message, nanosecondsFromTime(now));
+  // A clock that has not begun is no reason to take any stamp: a pose needs an age.
+  const Outcome outcome = assembler_->add(view, nanosecondsFromTime(message->header.stamp), message,
+                                          std::max<std::int64_t>(nanosecondsFromTime(now), 1));
   if (outcome != Outcome::COMPLETE && outcome != Outcome::FUTURE)
   {
     return;
@@ -258,11 +260,8 @@ void MotionEstimationRos::trackedRegionCb(const TrackedRegion::ConstPtr& message
   exposure.age = nanosecondsFromTime(now) - exposure.stamp;
   if (outcome == Outcome::FUTURE)
   {
-    std::ostringstream text;
-    text << "the exposure is stamped " << -1e-9 * static_cast<double>(exposure.age)
-         << " s in the future: clocks differ";
     exposure.fault = MotionState::BAD_STAMP;
-    exposure.text = text.str();
+    exposure.text = "clocks differ: " + assembler_->why();
   }
   if (ros::Time::isSimTime())
   {

@@ -19,6 +19,8 @@ namespace xray_tracking
 struct StoredView
 {
   sensor_msgs::CameraInfoConstPtr camera_info;
+  /// What camera_info and tf said when it came; nothing if they did not yet say, or not in a way that is of use.
+  std::optional<ProjectionGeometry> geometry;
   std::optional<UsableImage> image;
   sensor_msgs::ImageConstPtr pixels;  ///< whose pixels `image` has, unless these are its own
 };
@@ -41,7 +43,8 @@ public:
   /// Keeps what was taken. @param run in which that was; nothing is kept of one that has ended since
   void keepImage(std::size_t detector, std::int64_t stamp_ns, std::size_t run, UsableImage image,
                  const sensor_msgs::ImageConstPtr& pixels);
-  void keepCameraInfo(std::size_t detector, std::int64_t stamp_ns, const sensor_msgs::CameraInfoConstPtr& camera_info);
+  void keepCameraInfo(std::size_t detector, std::int64_t stamp_ns, const sensor_msgs::CameraInfoConstPtr& camera_info,
+                      std::optional<ProjectionGeometry> geometry);
   /// Number of runs that have ended.
   std::size_t run() const { return run_; }
 

@@ -18,8 +18,13 @@ namespace xray_tracking
 UsableImage usableImageOf(const sensor_msgs::ImageConstPtr& image, const IntensityModel& intensity,
                           DetectorPixels& detector);
 
-/// The views of an exposure that is complete: projections from camera_info and the frames' places in the room; the
-/// panel's distance, which neither has, from the setup. They refer to the exposure's images.
+/// A detector's projection: by its camera_info and its frame's place in the room, as tf has it now; the panel's
+/// distance, which neither has, from the setup. @throws std::exception saying what is wrong, or what tf does not know
+ProjectionGeometry geometryOf(const ProjectionGeometry& detector, const sensor_msgs::CameraInfo& info,
+                              const tf2_ros::Buffer& tf_buffer);
+
+/// The views of an exposure that is complete. Where a geometry could not be told when its camera_info came, it is tried
+/// again. They refer to the exposure's images.
 /// @throws std::invalid_argument saying what is wrong with which view
 std::vector<RegistrationView> viewsOf(const StoredExposure& exposure, const TreatmentSetup& setup,
                                       const tf2_ros::Buffer& tf_buffer);

@@ -60,9 +60,12 @@ void ExposureStore::keepImage(std::size_t detector, std::int64_t stamp_ns, std::
 }
 
 void ExposureStore::keepCameraInfo(std::size_t detector, std::int64_t stamp_ns,
-                                   const sensor_msgs::CameraInfoConstPtr& camera_info)
+                                   const sensor_msgs::CameraInfoConstPtr& camera_info,
+                                   std::optional<ProjectionGeometry> geometry)
 {
-  at(stamp_ns)[detector].camera_info = camera_info;
+  StoredView& view = at(stamp_ns)[detector];
+  view.camera_info = camera_info;
+  view.geometry = std::move(geometry);
 }
 
 StoredExposure& ExposureStore::at(std::int64_t stamp_ns)

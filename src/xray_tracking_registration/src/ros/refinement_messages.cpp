@@ -36,23 +36,20 @@ void readBound(const char* key, double value, double millimetres_per_unit, doubl
 RegistrationView viewOf(const ProjectionGeometry& detector, const StoredView& view, const tf2_ros::Buffer& tf_buffer)
 {
   const UsableImage& image = *view.image;
-  const sensor_msgs::CameraInfo& info = *view.camera_info;
   if (!image.fault.empty())
   {
     throw std::invalid_argument(image.fault);
   }
-  if (static_cast<std::uint32_t>(image.image.cols) != info.width ||
-      static_cast<std::uint32_t>(image.image.rows) != info.height)
+  const ProjectionGeometry geometry =
+      view.geometry ? *view.geometry : geometryOf(detector, *view.camera_info, tf_buffer);
+  const Eigen::Vector2i& size = geometry.imageSize();
+  if (image.image.cols != size.x() || image.image.rows != size.y())
   {
     throw std::invalid_argument("the image is " + std::to_string(image.image.cols) + " x " +
                                 std::to_string(image.image.rows) + ", expected camera_info's " +
-                                std::to_string(info.width) + " x " + std::to_string(info.height));
+                                std::to_string(size.x()) + " x " + std::to_string(size.y()));
   }
-  const RigidTransform room_from_optical =
-      rigidFromTransformMsg(tf_buffer.lookupTransform(kRoomFrame, info.header.frame_id, ros::Time(0)).transform);
-  RegistrationView result{
-    geometryFromCameraInfo(detector.name(), info, room_from_optical, detector.sourceToDetector()), image.image
-  };
+  RegistrationView result{ geometry, image.image };
   result.usable = image.usable;
   return result;
 }
@@ -76,6 +73,14 @@ UsableImage usableImageOf(const sensor_msgs::ImageConstPtr& image, const Intensi
     seen.fault = error.what();
   }
   return seen;
+}
+
+ProjectionGeometry geometryOf(const ProjectionGeometry& detector, const sensor_msgs::CameraInfo& info,
+                              const tf2_ros::Buffer& tf_buffer)
+{
+  const RigidTransform room_from_optical =
+      rigidFromTransformMsg(tf_buffer.lookupTransform(kRoomFrame, info.header.frame_id, ros::Time(0)).transform);
+  return geometryFromCameraInfo(detector.name(), info, room_from_optical, detector.sourceToDetector());
 }
 
 std::vector<RegistrationView> viewsOf(const StoredExposure& exposure, const TreatmentSetup& setup,

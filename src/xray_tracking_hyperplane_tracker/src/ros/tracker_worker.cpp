@@ -1,4 +1,5 @@
-// What HyperplaneTrackerRos does in its worker thread: from an exposure to its answer.
+#include "xray_tracking_hyperplane_tracker/tracker_worker.h"
+
 #include <algorithm>
 #include <exception>
 #include <stdexcept>
@@ -7,11 +8,10 @@
 #include <sensor_msgs/image_encodings.h>
 #include <boost/make_shared.hpp>
 
-#include "state_names.h"
+#include "../state_names.h"
 #include "xray_tracking_conversions/conversions.h"
 #include "xray_tracking_core/sequence/treatment_setup.h"
 #include "xray_tracking_core/stopwatch.h"
-#include "xray_tracking_hyperplane_tracker/hyperplane_tracker_ros.h"
 #include "xray_tracking_hyperplane_tracker/region_overlay.h"
 
 namespace xray_tracking
@@ -20,6 +20,7 @@ namespace
 {
 namespace encodings = sensor_msgs::image_encodings;
 using xray_tracking_msgs::TrackedRegion;
+using xray_tracking_msgs::TrainRegion;
 
 static_assert(static_cast<int>(ViewAnswer::State::UNTRAINED) == TrackedRegion::UNTRAINED &&
                   static_cast<int>(ViewAnswer::State::TRACKING) == TrackedRegion::TRACKING &&
@@ -80,24 +81,70 @@ cv_bridge::CvImageConstPtr pixelsOf(const sensor_msgs::ImageConstPtr& image)
 }
 }  // namespace
 
-void HyperplaneTrackerRos::work()
+TrackerWorker::TrackerWorker(const ros::NodeHandle& nh, const std::string& name, const TrackerParameters& parameters,
+                             const std::string& fault, TrackerStatus& status)
+  : nh_(nh),
+    name_(name),
+    status_(status),
+    arrivals_(static_cast<std::size_t>(parameters.queue_size)),
+    settings_(parameters),
+    parameters_(parameters),
+    configuration_fault_(fault),
+    region_publisher_(nh_.advertise<TrackedRegion>("tracked_region", 100)),
+    overlay_publisher_(nh_.advertise<sensor_msgs::Image>("tracked_region_image", 2)),
+    thread_([this] { work(); })
+{
+}
+
+void TrackerWorker::stop()
+{
+  arrivals_.close();
+  if (thread_.joinable())
+  {
+    thread_.join();
+  }
+  image_subscriber_.shutdown();
+}
+
+void TrackerWorker::setSettings(const TrackerParameters& settings)
+{
+  const std::lock_guard<std::mutex> lock(settings_mutex_);
+  settings_ = settings;
+  settings_changed_ = true;
+}
+
+void TrackerWorker::imageCb(const sensor_msgs::ImageConstPtr& image)
+{
+  // roscpp links publisher and subscriber of one process twice if both come up at the same time.
+  if (image.get() == last_received_ && image->header.stamp == last_received_stamp_)
+  {
+    return;
+  }
+  last_received_ = image.get();
+  last_received_stamp_ = image->header.stamp;
+  const ros::SteadyTime now = ros::SteadyTime::now();
+  status_.noteArrival(now);
+  arrivals_.push({ image, now });
+}
+
+void TrackerWorker::work()
 {
   configure();
   image_subscriber_ = nh_.subscribe("image_raw", static_cast<std::uint32_t>(parameters_.queue_size),
-                                    &HyperplaneTrackerRos::imageCb, this, ros::TransportHints().tcpNoDelay());
+                                    &TrackerWorker::imageCb, this, ros::TransportHints().tcpNoDelay());
   const auto overdue = [this](const Arrival& arrival)
   {
     return arrival.time > training_end_ &&
            ros::SteadyTime::now() - arrival.time > ros::WallDuration(parameters_.max_wait);
   };
-  while (const std::optional<Arrival> arrival = arrivals_->pop(overdue))
+  while (const std::optional<Arrival> arrival = arrivals_.pop(overdue))
   {
     process(*arrival);
   }
   requests_.close();
 }
 
-void HyperplaneTrackerRos::configure()
+void TrackerWorker::configure()
 {
   try
   {
@@ -111,9 +158,9 @@ void HyperplaneTrackerRos::configure()
       intensity_ = setup.intensity;
       if (parameters_.region && !hasDetector(setup, parameters_.detector))
       {
-        ROS_WARN_STREAM(pnh_.getNamespace() << ": " << parameters_.setup_file << " has no detector '"
-                                            << parameters_.detector << "', so its pixels are taken to be "
-                                            << parameters_.resolution << " mm at the target (resolution)");
+        ROS_WARN_STREAM(name_ << ": " << parameters_.setup_file << " has no detector '" << parameters_.detector
+                              << "', so its pixels are taken to be " << parameters_.resolution
+                              << " mm at the target (resolution)");
       }
       else
       {
@@ -125,13 +172,12 @@ void HyperplaneTrackerRos::configure()
   catch (const std::exception& error)
   {
     configuration_fault_ = error.what();
-    ROS_ERROR_STREAM(pnh_.getNamespace() << " tracks nothing: " << configuration_fault_);
-    const std::lock_guard<std::mutex> lock(snapshot_mutex_);
-    snapshot_.fault = configuration_fault_;
+    ROS_ERROR_STREAM(name_ << " tracks nothing: " << configuration_fault_);
+    status_.setFault(configuration_fault_);
   }
 }
 
-void HyperplaneTrackerRos::makeTracker()
+void TrackerWorker::makeTracker()
 {
   auto hyperplane = std::make_unique<HyperplaneTracker>(parameters_.tracker, intensity_);
   hyperplane_ = hyperplane.get();
@@ -139,11 +185,14 @@ void HyperplaneTrackerRos::makeTracker()
                    parameters_.model_by_data, parameters_.region);
 }
 
-void HyperplaneTrackerRos::adoptSettings()
+void TrackerWorker::adoptSettings()
 {
   if (settings_changed_.exchange(false))
   {
-    parameters_ = settings();
+    {
+      const std::lock_guard<std::mutex> lock(settings_mutex_);
+      parameters_ = settings_;
+    }
     if (hyperplane_ != nullptr)
     {
       hyperplane_->setThresholds(parameters_.tracker);
@@ -151,20 +200,19 @@ void HyperplaneTrackerRos::adoptSettings()
   }
 }
 
-bool HyperplaneTrackerRos::acceptStamp(const ros::Time& stamp)
+bool TrackerWorker::acceptStamp(const ros::Time& stamp)
 {
   using Verdict = StampPolicy::Verdict;
   const Verdict verdict = stamps_.take(nanosecondsFromTime(stamp), nanosecondsFromTime(ros::Time::now()));
   if (verdict == Verdict::FUTURE || verdict == Verdict::REPEATED_OR_LATE)
   {
-    ROS_WARN_STREAM_THROTTLE(1.0, pnh_.getNamespace() << " drops an exposure: " << stamps_.why());
-    const std::lock_guard<std::mutex> lock(snapshot_mutex_);
-    ++snapshot_.bad_stamps;
+    ROS_WARN_STREAM_THROTTLE(1.0, name_ << " drops an exposure: " << stamps_.why());
+    status_.noteBadStamp();
     return false;
   }
   if (verdict == Verdict::RESTART)
   {
-    ROS_WARN_STREAM(pnh_.getNamespace() << " starts anew: " << stamps_.why());
+    ROS_WARN_STREAM(name_ << " starts anew: " << stamps_.why());
     if (tracker_)
     {
       tracker_->startAnew();
@@ -174,7 +222,7 @@ bool HyperplaneTrackerRos::acceptStamp(const ros::Time& stamp)
   return true;
 }
 
-void HyperplaneTrackerRos::process(const Arrival& arrival)
+void TrackerWorker::process(const Arrival& arrival)
 {
   const Stopwatch stopwatch;
   adoptSettings();
@@ -197,7 +245,7 @@ void HyperplaneTrackerRos::process(const Arrival& arrival)
     const bool is_first = !tracker_->trained();
     if (is_first && (request || tracker_->wantedRegion()))
     {
-      showState(TrackedRegion::TRAINING);
+      status_.setState(TrackedRegion::TRAINING);
     }
     try
     {
@@ -221,7 +269,7 @@ void HyperplaneTrackerRos::process(const Arrival& arrival)
   }
 }
 
-void HyperplaneTrackerRos::publish(const Arrival& arrival, const ViewAnswer& answer, double cpu_seconds)
+void TrackerWorker::publish(const Arrival& arrival, const ViewAnswer& answer, double cpu_seconds)
 {
   const auto result = boost::make_shared<TrackedRegion>();
   result->header = arrival.image->header;
@@ -238,16 +286,16 @@ void HyperplaneTrackerRos::publish(const Arrival& arrival, const ViewAnswer& ans
   publishOverlay(arrival.image, *result);
 }
 
-void HyperplaneTrackerRos::finish(TrainingRequest& request, const sensor_msgs::ImageConstPtr& image,
-                                  const cv::Mat& pixels, const ViewAnswer& answer)
+void TrackerWorker::finish(TrainingRequest& request, const sensor_msgs::ImageConstPtr& image, const cv::Mat& pixels,
+                           const ViewAnswer& answer)
 {
   std::string fault = answer.fault;
   if (tracker_)
   {
-    showState(TrackedRegion::TRAINING);
+    status_.setState(TrackedRegion::TRAINING);
     fault = pixels.empty() ? answer.fault : tracker_->learn(pixels);
     noteReference(image);
-    showState(static_cast<std::uint8_t>(answer.state));
+    status_.setState(static_cast<std::uint8_t>(answer.state));
   }
   request.response.set_value(
       fault.empty() ? TrainingMailbox::makeResponse(
@@ -256,7 +304,7 @@ void HyperplaneTrackerRos::finish(TrainingRequest& request, const sensor_msgs::I
                     : TrainingMailbox::makeResponse(TrainRegion::Response::INVALID_REGION, fault));
 }
 
-void HyperplaneTrackerRos::noteReference(const sensor_msgs::ImageConstPtr& image)
+void TrackerWorker::noteReference(const sensor_msgs::ImageConstPtr& image)
 {
   training_end_ = ros::SteadyTime::now();
   if (!tracker_->trained())
@@ -272,43 +320,28 @@ void HyperplaneTrackerRos::noteReference(const sensor_msgs::ImageConstPtr& image
   const cv::Rect inside = tracker_->region();
   if (inside != tracker_->wantedRegion())
   {
-    ROS_WARN_STREAM(pnh_.getNamespace() << " tracks " << inside.width << " x " << inside.height << " at (" << inside.x
-                                        << ", " << inside.y << "), the part of its region inside the X-ray field");
+    ROS_WARN_STREAM(name_ << " tracks " << inside.width << " x " << inside.height << " at (" << inside.x << ", "
+                          << inside.y << "), the part of its region inside the X-ray field");
   }
 }
 
-void HyperplaneTrackerRos::showState(std::uint8_t state)
-{
-  const std::lock_guard<std::mutex> lock(snapshot_mutex_);
-  snapshot_.state = state;
-}
-
-void HyperplaneTrackerRos::tell(const TrackedRegion& result, const std::string& error)
+void TrackerWorker::tell(const TrackedRegion& result, const std::string& error)
 {
   if (error != logged_error_ && !error.empty())
   {
-    ROS_ERROR_STREAM(pnh_.getNamespace() << ", exposure of " << result.header.stamp << ": " << error);
+    ROS_ERROR_STREAM(name_ << ", exposure of " << result.header.stamp << ": " << error);
   }
   logged_error_ = error;
   if (result.state != logged_state_)
   {
-    ROS_INFO_STREAM(pnh_.getNamespace() << " is " << stateName(result.state) << " (correlation " << result.correlation
-                                        << ", quality " << result.quality << ")" << (result.fault.empty() ? "" : ": ")
-                                        << result.fault);
+    ROS_INFO_STREAM(name_ << " is " << stateName(result.state) << " (correlation " << result.correlation << ", quality "
+                          << result.quality << ")" << (result.fault.empty() ? "" : ": ") << result.fault);
     logged_state_ = result.state;
   }
-  const std::lock_guard<std::mutex> lock(snapshot_mutex_);
-  snapshot_.state = result.state;
-  snapshot_.fault = error;
-  snapshot_.correlation = result.correlation;
-  snapshot_.quality = result.quality;
-  snapshot_.cpu_ms = 1e3 * result.cpu_time.toSec();
-  snapshot_.wall_ms = 1e3 * result.wall_time.toSec();
-  snapshot_.longest_wall_ms = std::max(snapshot_.longest_wall_ms, snapshot_.wall_ms);
-  ++snapshot_.exposures;
+  status_.noteAnswer(result, error);
 }
 
-void HyperplaneTrackerRos::publishOverlay(const sensor_msgs::ImageConstPtr& image, const TrackedRegion& result)
+void TrackerWorker::publishOverlay(const sensor_msgs::ImageConstPtr& image, const TrackedRegion& result)
 {
   if (overlay_publisher_.getNumSubscribers() == 0)
   {
