@@ -106,11 +106,13 @@ GreyWindow automaticWindow(const cv::Mat& pixels, bool logarithmic)
   auto first = values.begin(), last = values.end();
   const auto many = static_cast<std::ptrdiff_t>(kManyPixels * static_cast<double>(values.size()));
   const auto few = static_cast<std::ptrdiff_t>(kFewPixels * static_cast<double>(values.size()));
-  if (const auto above = std::upper_bound(first, last, *first); above - first > many && last - above > few)
+  if (const auto above = std::upper_bound(first, last, *first);
+      above - first > many && last - above > few && *above != *(last - 1))
   {
     first = above;
   }
-  if (const auto below = std::lower_bound(first, last, *(last - 1)); last - below > many && below - first > few)
+  if (const auto below = std::lower_bound(first, last, *(last - 1));
+      last - below > many && below - first > few && *(below - 1) != *first)
   {
     last = below;
   }
