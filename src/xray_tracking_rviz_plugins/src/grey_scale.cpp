@@ -17,6 +17,7 @@ constexpr double kLowShare = 0.01;  // percentiles
 constexpr double kHighShare = 0.99;
 constexpr double kMargin = 0.05;      // of the width, at either end
 constexpr double kManyPixels = 0.02;  // with one value at an end
+constexpr double kFewPixels = 0.1;    // so many have to be left without those
 constexpr double kFollowing = 0.15;   // of the way, an image
 
 template <typename Value>
@@ -104,11 +105,14 @@ GreyWindow automaticWindow(const cv::Mat& pixels, bool logarithmic)
   std::sort(values.begin(), values.end());
   auto first = values.begin(), last = values.end();
   const auto many = static_cast<std::ptrdiff_t>(kManyPixels * static_cast<double>(values.size()));
-  if (const auto above = std::upper_bound(first, last, *first); above - first > many && above != last)
+  const auto few = static_cast<std::ptrdiff_t>(kFewPixels * static_cast<double>(values.size()));
+  if (const auto above = std::upper_bound(first, last, *first);
+      above - first > many && last - above > few && *above != *(last - 1))
   {
     first = above;
   }
-  if (const auto below = std::lower_bound(first, last, *(last - 1)); last - below > many && below != first)
+  if (const auto below = std::lower_bound(first, last, *(last - 1));
+      last - below > many && below - first > few && *(below - 1) != *first)
   {
     last = below;
   }

@@ -323,6 +323,10 @@ void RadiographPanel::askForRendering()
   for (const auto& pane : panes_)
   {
     const RadiographFeed::Messages messages = pane->feed().messages();
+    if (!messages.camera_info)
+    {
+      continue;
+    }
     ShownExposure exposure;
     exposure.image = aligning() ? messages.images.newest() : messages.images.at(rendered.stamp);
     if (!exposure.image)
@@ -339,9 +343,9 @@ void RadiographPanel::askForRendering()
       return;
     }
     rendered.exposures.emplace(pane->detector(), std::move(exposure));
-    request.detectors.push_back(pane->detector());
+    request.camera_infos.push_back(*messages.camera_info);
   }
-  if (!request.detectors.empty() && renderer_->call(request))
+  if (!request.camera_infos.empty() && renderer_->call(request))
   {
     asked_ = std::move(rendered);
     asked_at_ = now;
@@ -362,11 +366,12 @@ void RadiographPanel::takeRendering(const std::optional<RenderViews::Response>& 
     asked_at_ = std::chrono::steady_clock::now() + std::chrono::seconds(1);  // not again at once
     return;
   }
-  for (const xray_tracking_msgs::RenderedView& view : response->views)
+  std::size_t view = 0;  // in the order of the request, which is that of the names
+  for (auto& exposure : rendered.exposures)
   {
-    if (const auto exposure = rendered.exposures.find(view.detector); exposure != rendered.exposures.end())
+    if (view < response->views.size())
     {
-      exposure->second.rendering = renderingOf(view);
+      exposure.second.rendering = renderingOf(response->views[view++]);
     }
   }
   rendered_ = std::move(rendered);
