@@ -18,7 +18,7 @@ namespace
 {
 namespace fs = boost::filesystem;
 
-constexpr const char* kVersion = "anatomy 2";
+constexpr const char* kVersion = "anatomy 3";
 constexpr std::size_t kMostTriangles = 160000;
 constexpr double kLeastArea = 250.0;  ///< of a piece of bone: others are noise and calcifications [mm^2]
 constexpr double kSlice = 240.0;      ///< edge of a slice [mm]
@@ -353,10 +353,7 @@ Anatomy makeAnatomy(const AnatomySource& source, const std::atomic<bool>& stop)
   }
   if (ct.content == CtContent::FULL)
   {
-    SurfaceMesh couch;
-    SurfaceMesh in_body;
-    splitByMask(bone, bodyOf(ct.volume), in_body, couch);
-    bone = std::move(in_body);
+    bone = piecesWithin(bone, bodyOf(ct.volume));
   }
   try
   {

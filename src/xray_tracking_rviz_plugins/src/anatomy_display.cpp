@@ -313,7 +313,12 @@ void AnatomyDisplay::placePatient()
   // The pose itself and not the last transform of tf, which does not say how old it is.
   const std::optional<RigidTransform> pose = pose_ ? rigidOf(pose_->pose.pose) : std::nullopt;
   place(patient_node_, pose ? *pose : setup_->room_from_patient);
-  if (!pose)
+  if (pose_ && !pose)
+  {
+    setStatusStd(StatusProperty::Error, "Pose",
+                 "what came on patient_pose is no pose: shown at the setup's initial pose");
+  }
+  else if (!pose)
   {
     setStatusStd(StatusProperty::Warn, "Pose", "nothing on patient_pose so far: shown at the setup's initial pose");
   }
@@ -344,9 +349,13 @@ void AnatomyDisplay::placeEllipsoid()
   std::optional<Eigen::Matrix3d> covariance;
   if (pose && ellipsoid_->getBool() && age(pose_arrival_) < kOldPose)
   {
-    const Eigen::Vector3d arm = pose->linear() * setup_->targetCentre();
-    covariance = pointCovariance(covarianceFromPoseMsg(pose_->pose), arm);
-    covariance = covariance->allFinite() ? covariance : std::nullopt;
+    try
+    {
+      covariance = pointCovariance(covarianceFromPoseMsg(pose_->pose), pose->linear() * setup_->targetCentre());
+    }
+    catch (const std::exception&)  // of numbers that are none
+    {
+    }
   }
   ellipsoid_shape_->getRootNode()->setVisible(covariance.has_value());
   text_node_->setVisible(covariance.has_value());

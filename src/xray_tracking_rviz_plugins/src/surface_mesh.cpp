@@ -130,7 +130,8 @@ SurfaceMesh part(const SurfaceMesh& mesh, const Keep& keep)
   return kept;
 }
 
-SurfaceMesh largePieces(const SurfaceMesh& mesh, double least_area)
+/// Of every point a point that stands for its connected piece.
+std::vector<std::uint32_t> piecesOf(const SurfaceMesh& mesh)
 {
   std::vector<std::uint32_t> parent(mesh.points.size());
   std::iota(parent.begin(), parent.end(), 0U);
@@ -147,12 +148,38 @@ SurfaceMesh largePieces(const SurfaceMesh& mesh, double least_area)
     parent[root(triangle[1])] = root(triangle[0]);
     parent[root(triangle[2])] = root(triangle[0]);
   }
-  std::vector<double> areas(mesh.points.size(), 0.0);
-  for (const auto& triangle : mesh.triangles)
+  for (std::uint32_t i = 0; i < parent.size(); ++i)
   {
-    areas[root(triangle[0])] += 0.5 * areaVector(mesh, triangle).norm();
+    parent[i] = root(i);
   }
-  return part(mesh, [&](std::size_t t) { return areas[root(mesh.triangles[t][0])] >= least_area; });
+  return parent;
+}
+
+/// Keeps the pieces for which keep(sum of their triangles' weighted areas) holds [mm^2].
+template <typename Weight, typename Keep>
+SurfaceMesh piecesKept(const SurfaceMesh& mesh, const Weight& weight, const Keep& keep)
+{
+  const std::vector<std::uint32_t> piece = piecesOf(mesh);
+  std::vector<double> sums(mesh.points.size(), 0.0);
+  for (std::size_t t = 0; t < mesh.triangles.size(); ++t)
+  {
+    sums[piece[mesh.triangles[t][0]]] += 0.5 * areaVector(mesh, mesh.triangles[t]).norm() * weight(t);
+  }
+  return part(mesh, [&](std::size_t t) { return keep(sums[piece[mesh.triangles[t][0]]]); });
+}
+
+/// Of every point, whether it is where the mask is 1.
+std::vector<bool> within(const SurfaceMesh& mesh, const ScalarVolume& mask)
+{
+  const Eigen::Affine3d index_from_patient = mask.grid.patient_from_index.inverse();
+  std::vector<bool> in(mesh.points.size());
+  for (std::size_t i = 0; i < in.size(); ++i)
+  {
+    const Eigen::Array3i index = (index_from_patient * mesh.points[i].cast<double>()).array().round().cast<int>();
+    in[i] = (index >= 0).all() && (index < mask.grid.size.array()).all() &&
+            mask.values[mask.grid.offset(index.x(), index.y(), index.z())] >= 0.999F;
+  }
+  return in;
 }
 
 void addNormals(SurfaceMesh& mesh)
@@ -262,27 +289,28 @@ SurfaceMesh isoSurface(const ScalarVolume& volume, float threshold, std::size_t 
       std::swap(triangle[1], triangle[2]);
     }
   }
-  mesh = largePieces(mesh, least_area);
+  mesh = piecesKept(
+      mesh, [](std::size_t) { return 1.0; }, [least_area](double area) { return area >= least_area; });
   addNormals(mesh);
   return mesh;
 }
 
+SurfaceMesh piecesWithin(const SurfaceMesh& mesh, const ScalarVolume& mask)
+{
+  const std::vector<bool> in = within(mesh, mask);
+  return piecesKept(
+      mesh, [&](std::size_t t) { return in[mesh.triangles[t][0]] ? 1.0 : -1.0; }, [](double sum) { return sum > 0.0; });
+}
+
 void splitByMask(const SurfaceMesh& mesh, const ScalarVolume& mask, SurfaceMesh& inside, SurfaceMesh& outside)
 {
-  const Eigen::Affine3d index_from_patient = mask.grid.patient_from_index.inverse();
-  std::vector<bool> in(mesh.points.size());
-  for (std::size_t i = 0; i < in.size(); ++i)
-  {
-    const Eigen::Array3i index = (index_from_patient * mesh.points[i].cast<double>()).array().round().cast<int>();
-    in[i] = (index >= 0).all() && (index < mask.grid.size.array()).all() &&
-            mask.values[mask.grid.offset(index.x(), index.y(), index.z())] >= 0.999F;
-  }
-  const auto within = [&](std::size_t t)
+  const std::vector<bool> in = within(mesh, mask);
+  const auto all_in = [&](std::size_t t)
   {
     const auto& triangle = mesh.triangles[t];
     return in[triangle[0]] && in[triangle[1]] && in[triangle[2]];
   };
-  inside = part(mesh, within);
-  outside = part(mesh, [&](std::size_t t) { return !within(t); });
+  inside = part(mesh, all_in);
+  outside = part(mesh, [&](std::size_t t) { return !all_in(t); });
 }
 }  // namespace xray_tracking

@@ -32,6 +32,9 @@ struct SurfaceMesh
 SurfaceMesh isoSurface(const ScalarVolume& volume, float threshold, std::size_t most_triangles, double least_area,
                        const std::atomic<bool>& stop);
 
+/// The connected pieces most of whose surface is where the mask is 0.999 and more.
+SurfaceMesh piecesWithin(const SurfaceMesh& mesh, const ScalarVolume& mask);
+
 /// The triangles all of whose points are at weights of 0.999 and more, and the others. Outside of the mask's grid
 /// weights are 0.
 void splitByMask(const SurfaceMesh& mesh, const ScalarVolume& mask, SurfaceMesh& inside, SurfaceMesh& outside);

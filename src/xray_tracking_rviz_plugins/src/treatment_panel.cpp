@@ -74,7 +74,7 @@ QString registrationText(const TreatmentView& view, std::int64_t now)
     return view.registration ? quiet("running, not asked") : coloured("not running", look::kQuiet);
   }
   const RefinementResult& result = view.refined->result;
-  const QString figures = "  probability " + QString::number(result.probability, 'f', 2) + ", similarity " +
+  const QString figures = "  " + QString::number(result.probability, 'f', 2) + " probable, similarity " +
                           QString::number(result.similarity_after, 'f', 2) + ", " +
                           QString::number(1e3 * result.time.toSec(), 'f', 0) + " ms";
   if (result.status == RefinementResult::SUCCESS)

@@ -136,6 +136,27 @@ TEST(SurfaceMeshTest, IsSplitByTheMask)
   }
 }
 
+TEST(SurfaceMeshTest, PiecesAreKeptWholeOrNot)
+{
+  const VolumeGrid grid = obliqueGrid();
+  const Eigen::Vector3d axis = grid.patient_from_index.linear().col(0).normalized();
+  const auto ball = [&](double along) { return sphere(grid, grid.centre() + along * axis, 10.0); };
+  ScalarVolume both = ball(-15.0);
+  const ScalarVolume other = ball(15.0);
+  // Reaches from the left up to the middle of the right ball, but for a millimetre.
+  ScalarVolume mask{ grid, std::vector<float>(grid.voxelCount()) };
+  for (std::size_t i = 0; i < both.values.size(); ++i)
+  {
+    both.values[i] = std::max(both.values[i], other.values[i]);
+    const Eigen::Vector3d index(static_cast<double>(i % grid.size.x()),
+                                static_cast<double>(i / grid.size.x() % grid.size.y()),
+                                static_cast<double>(i / grid.size.x() / grid.size.y()));
+    mask.values[i] = (grid.patient_from_index * index - grid.centre()).dot(axis) < 14.0 ? 1.0F : 0.0F;
+  }
+  const SurfaceMesh mesh = isoSurface(both, 1000.0F, 1000000, 0.0, kGoOn);
+  expectSphere(piecesWithin(mesh, mask), grid.centre() - 15.0 * axis, 10.0);
+}
+
 TEST(SurfaceMeshTest, NothingGivesNothing)
 {
   const VolumeGrid grid = obliqueGrid();
