@@ -114,6 +114,11 @@ class RequestsTest(RegistrationTestCase):
         request.camera_infos = []
         self.check_bad(request, RefinementResult.INVALID, "number of camera_infos is 0")
 
+    def test_without(self):
+        """Detectors that are not to be compared: two have to be left, and the phantom's setup has two."""
+        self.check_bad(self.good(without=["detector_b"]), RefinementResult.INVALID, "detectors to compare is 1")
+        self.check_bad(self.good(without=["detector_x"]), RefinementResult.INVALID, "detector_x", "detector_b")
+
     def test_tf_late_and_changed(self):
         """A camera's frame that tf does not know yet counts once it does; moved, it counts from the next exposure on."""
         moved = copy.deepcopy(self.exposure)
