@@ -1,4 +1,5 @@
 #include "contrast.h"
+#include "xray_tracking_core/image/attenuation.h"
 
 #include <algorithm>
 #include <cmath>

@@ -145,17 +145,4 @@ cv::Mat splineFiltered(const cv::Mat& image)
   cv::sepFilter2D(image, filtered, CV_32F, kernel, kernel, cv::Point(-1, -1), 0.0, cv::BORDER_REPLICATE);
   return filtered;
 }
-
-cv::Mat attenuationImage(const cv::Mat& image, const IntensityModel& intensity)
-{
-  cv::Mat values;
-  image.convertTo(values, CV_32F);
-  if (intensity.kind == IntensityModel::Kind::COUNTS)
-  {
-    values = cv::max(values - intensity.offset, 1.0);
-    cv::log(values, values);
-    values = -values;
-  }
-  return values;
-}
 }  // namespace xray_tracking

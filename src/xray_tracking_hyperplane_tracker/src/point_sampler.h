@@ -32,7 +32,4 @@ int samplePoints(const cv::Mat& image, Sampling sampling, const IntensityModel& 
 
 /// What samplePoints() with SPLINE finds at the pixels of an image. @param image CV_32FC1
 cv::Mat splineFiltered(const cv::Mat& image);
-
-/// Pixel values in the sense of the intensity model, CV_32FC1.
-cv::Mat attenuationImage(const cv::Mat& image, const IntensityModel& intensity);
 }  // namespace xray_tracking

@@ -8,6 +8,7 @@
 #include "predictor.h"
 #include "region_fit.h"
 #include "spectral_filter.h"
+#include "xray_tracking_core/image/attenuation.h"
 
 namespace xray_tracking
 {

@@ -5,6 +5,7 @@
 #include <opencv2/imgproc.hpp>
 
 #include "point_sampler.h"
+#include "xray_tracking_core/image/attenuation.h"
 
 namespace xray_tracking
 {

@@ -8,6 +8,7 @@
 
 #include "image_check.h"
 #include "point_sampler.h"
+#include "xray_tracking_core/image/attenuation.h"
 
 namespace xray_tracking
 {

@@ -1,26 +1,16 @@
 #include "xray_tracking_motion_estimation/motion_monitor.h"
 
 #include <algorithm>
-#include <cmath>
 #include <sstream>
 #include <stdexcept>
 #include <utility>
 
 #include <Eigen/Eigenvalues>
 
-#include "xray_tracking_core/option_check.h"
-
 namespace xray_tracking
 {
 namespace
 {
-/// Measured on patients: TRE below 1.2 mm in 32 %, below 2.4 mm in 82 % of the frames [mm].
-constexpr double kTissueSigma = 1.0;
-
-constexpr int kAstrayExposures = 2;              ///< in a row, before a region is learnt anew
-constexpr std::int64_t kProposals = 1000000000;  ///< between two proposals for a view [ns]
-constexpr double kAstray = 1.0;                  ///< from where a registration sees the target [mm]
-
 double largestEigenvalue(const Eigen::Matrix3d& covariance)
 {
   return Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(covariance, Eigen::EigenvaluesOnly).eigenvalues()[2];
@@ -42,65 +32,16 @@ GateReason gateFault(MotionState state)
 }
 }  // namespace
 
-const char* motionStateName(MotionState state)
-{
-  static const char* const kNames[] = { "OK",           "WAITING",   "LOST",        "INCONSISTENT",
-                                        "NO_REFERENCE", "BAD_STAMP", "UNREGISTERED" };
-  return kNames[static_cast<std::size_t>(state)];
-}
-
-const char* poseMethodName(PoseMethod method)
-{
-  static const char* const kNames[] = { "tracking", "registration", "tracking_and_registration" };
-  return kNames[static_cast<std::size_t>(method)];
-}
-
-PoseMethod poseMethodFromName(const std::string& name)
-{
-  for (const PoseMethod method :
-       { PoseMethod::TRACKING, PoseMethod::REGISTRATION, PoseMethod::TRACKING_AND_REGISTRATION })
-  {
-    if (name == poseMethodName(method))
-    {
-      return method;
-    }
-  }
-  throw std::invalid_argument("method is '" + name + "', expected tracking, registration or tracking_and_registration");
-}
-
-MotionMonitorOptions::MotionMonitorOptions()
-{
-  tracks.estimation.tissue_sigma = kTissueSigma;
-}
-
-void MotionMonitorOptions::derive()
-{
-  requireOption(rigid_sigma > 0.0 && std::isfinite(rigid_sigma), "consistency/rigid_sigma", rigid_sigma,
-                "a number > 0 mm");
-  requireOption(deadline >= 0.0 && deadline <= 10.0, "pose/deadline", deadline, "0 to 10 s");
-  requireOption(method != PoseMethod::REGISTRATION || deadline > 0.0, "pose/deadline", deadline,
-                "a number > 0 s where method is registration: no answer comes at once");
-  requireOption(method == PoseMethod::TRACKING || refinement.mode != RefinementMode::NEVER, "refinement/mode",
-                "'never'", std::string("another one where method is ") + poseMethodName(method));
-  tracks.consistency.floor_sigma = tracks.estimation.floor_sigma;
-  tracks.rigid_consistency = tracks.consistency;
-  tracks.rigid_consistency.floor_sigma = rigid_sigma;
-  tracks.rigid_consistency.persistent_sigma = 0.0;
-  prediction.tissue_sigma = tracks.estimation.tissue_sigma;
-  gate.verification.registration = refinement.mode != RefinementMode::NEVER;
-  refinement.target_speed = tracks.target_speed;
-}
-
 MotionMonitor::MotionMonitor(const MotionMonitorOptions& options, const RigidTransform& room_from_patient,
                              const Eigen::Vector3d& target_centre)
   : options_(options),
-    initial_pose_(room_from_patient),
     target_centre_(target_centre),
     tracks_(options.tracks, room_from_patient, target_centre),
     predictor_(options.prediction, target_centre),
     refinement_(options.refinement, target_centre),
     gate_(options.gate),
-    astray_(options.tracks.views.size())
+    rules_(options.method, room_from_patient, target_centre),
+    proposer_(options.tracks.views.size(), target_centre)
 {
 }
 
@@ -133,7 +74,7 @@ void MotionMonitor::onReply(const RefinementReply& reply, std::int64_t now)
   }
   else if (judgement.verdict == RefinementVerdict::CONTRADICTS)
   {
-    contradiction_ = judgement.reason;
+    rules_.contradict(judgement.reason);
     gate_.refused(judgement.reason, true);
   }
   else if (judgement.verdict == RefinementVerdict::REFUSED)
@@ -182,10 +123,10 @@ void MotionMonitor::restart(const std::string& doubt)
   current_.reset();
   request_.reset();
   late_.reset();
-  astray_.assign(astray_.size(), {});
-  contradiction_.clear();
+  took_ = {};
   last_seen_.reset();
-  unconfirmed_ = doubt;
+  proposer_.restart();
+  rules_.restart(doubt);
   if (!doubt.empty())
   {
     gate_.doubt(doubt);
@@ -206,17 +147,6 @@ std::optional<MotionDecision> MotionMonitor::takeDecision()
 std::optional<RefinementRequest> MotionMonitor::takeRequest()
 {
   return std::exchange(request_, std::nullopt);
-}
-
-std::optional<RegionProposal> MotionMonitor::takeProposal()
-{
-  if (proposals_.empty())
-  {
-    return std::nullopt;
-  }
-  const RegionProposal proposal = proposals_.front();
-  proposals_.pop_front();
-  return proposal;
 }
 
 void MotionMonitor::advance(std::int64_t now)
@@ -263,29 +193,38 @@ void MotionMonitor::begin(std::int64_t now)
   last_seen_ = last_seen_.value_or(exposure.stamp);
   estimate();
 
-  const auto any = [&](const auto& holds)
+  // What shows nothing, or what an earlier exposure showed, is no evidence of where the patient is; two others are.
+  std::string blind;
+  std::size_t seeing = 0;
+  bool unable = false;
+  for (std::size_t i = 0; i < exposure.views.size(); ++i)
   {
-    const auto view = std::find_if(exposure.views.begin(), exposure.views.end(),
-                                   [&](const std::optional<TrackedView>& v) { return v && holds(*v); });
-    return view == exposure.views.end()
-               ? std::string()
-               : options_.tracks.views[static_cast<std::size_t>(view - exposure.views.begin())];
-  };
-  // What shows nothing, or what an earlier exposure showed, is no evidence of where the patient is.
-  const std::string blind = any([](const TrackedView& view) { return view.state == RegionState::BLIND; });
-  const std::string unable =
-      any([](const TrackedView& view) { return view.state == RegionState::UNTRAINED && !view.fault.empty(); });
+    const std::optional<TrackedView>& view = exposure.views[i];
+    const bool is_blind = view && view->state == RegionState::BLIND;
+    current_->without.push_back(is_blind || !view);
+    seeing += current_->without.back() ? 0 : 1;
+    unable = unable || (view && view->state == RegionState::UNTRAINED && !view->fault.empty());
+    if (is_blind && blind.empty())
+    {
+      blind = options_.tracks.views[i] + " is blind";
+    }
+  }
+  if (seeing < 2)
+  {
+    current_->without.assign(exposure.views.size(), false);
+  }
   if (options_.refinement.mode == RefinementMode::NEVER)
   {
     current_->not_registered = "no registration is asked for";
   }
-  else if (!blind.empty())
+  else if (!blind.empty() && seeing < 2)
   {
-    current_->not_registered = blind + " is blind";
+    current_->not_registered = blind;
   }
-  else if (current_->tracks.state == MotionState::WAITING && unable.empty())
+  else if (current_->tracks.state == MotionState::WAITING && !unable)
   {
     current_->not_registered = current_->tracks.reason;
+    current_->untrained = true;
   }
   else
   {
@@ -337,6 +276,7 @@ void MotionMonitor::ask(std::int64_t now)
   {
     request_->room_from_patient = last_pose_->second;
   }
+  request_->without = current_->without;
   current_->asked = request_->id;
   current_->due = false;
   std::ostringstream why;
@@ -361,8 +301,7 @@ std::string MotionMonitor::apply(const Refinement& refinement, const TrackedExpo
     gate_.refused(error.what(), false);
     return error.what();
   }
-  contradiction_.clear();
-  unconfirmed_.clear();
+  rules_.confirm();
   return std::string();
 }
 
@@ -393,62 +332,21 @@ void MotionMonitor::applyLate(const Refinement& refinement)
     predictor_.correct(before, last_pose_->second);
     correction = last_pose_->second * target_centre_ - before * target_centre_;
   }
-  gate_.refined(refinement.stamp, correction, rotation(last_pose_->second));
+  gate_.refined(refinement.stamp, correction, rules_.rotation(last_pose_->second));
   if (current_ && current_->exposure.fault == MotionState::OK)
   {
     estimate();  // its tracks count from elsewhere now
   }
 }
 
-void MotionMonitor::proposeRegions()
-{
-  const TrackedExposure& exposure = current_->exposure;
-  for (std::size_t i = 0; i < exposure.views.size(); ++i)
-  {
-    const std::optional<TrackedView>& view = exposure.views[i];
-    Astray& astray = astray_[i];
-    std::optional<cv::Rect> region;
-    if (view && !view->region.empty() && current_->refinement)
-    {
-      region = tracks_.regionAt(i, current_->refinement->refined);
-    }
-    const bool lost = view && view->state == RegionState::LOST;
-    const bool elsewhere = region && current_->tracks.state == MotionState::INCONSISTENT && followsOther(i, *region);
-    astray.exposures = lost || elsewhere ? astray.exposures + 1 : 0;
-    if (region && astray.exposures >= kAstrayExposures &&
-        (!astray.proposed || exposure.stamp - *astray.proposed >= kProposals))
-    {
-      const Eigen::Vector2i& size = tracks_.geometries()[i].imageSize();
-      const cv::Rect inside = *region & cv::Rect(0, 0, size.x(), size.y());
-      if (2 * inside.area() > region->area())
-      {
-        astray.proposed = exposure.stamp;
-        proposals_.push_back({ i, inside });
-      }
-    }
-  }
-}
-
-bool MotionMonitor::followsOther(std::size_t view, const cv::Rect& region) const
-{
-  const TrackedView& tracked = *current_->exposure.views[view];
-  if (tracked.state != RegionState::TRACKING && tracked.state != RegionState::DEGRADED)
-  {
-    return false;
-  }
-  const ProjectionGeometry& geometry = tracks_.geometries()[view];
-  const cv::Point shift = region.tl() - tracked.region.tl();
-  const double pixels = (Eigen::Vector2d(shift.x, shift.y) - tracked.track.displacement).norm();
-  const Eigen::Vector3d target = current_->refinement->refined * target_centre_;
-  return pixels * geometry.pixelPitch().mean() > kAstray * geometry.magnification(target);
-}
-
 void MotionMonitor::decide(std::int64_t now)
 {
   const TrackedExposure& exposure = current_->exposure;
-  MotionDecision decision = decisionOf(now);
-  proposeRegions();
-  if (current_->tracks.state == MotionState::OK || decision.state == MotionState::OK)
+  MotionDecision decision = rules_.decide(exposure, current_->tracks, current_->refinement, current_->not_registered);
+  decision.wall_seconds += 1e-9 * static_cast<double>(now - exposure.arrival);
+  proposer_.look(exposure, current_->tracks, current_->refinement ? &*current_->refinement : nullptr, tracks_);
+  const bool at_start = current_->untrained && tracks_.empty() && !last_pose_;
+  if (current_->tracks.state == MotionState::OK || decision.state == MotionState::OK || at_start)
   {
     last_seen_ = exposure.stamp;
   }
@@ -473,71 +371,6 @@ void MotionMonitor::decide(std::int64_t now)
   current_.reset();
 }
 
-MotionDecision MotionMonitor::decisionOf(std::int64_t now) const
-{
-  const TrackedExposure& exposure = current_->exposure;
-  MotionDecision decision;
-  decision.stamp = exposure.stamp;
-  decision.cpu_seconds = exposure.cpu_seconds;
-  decision.wall_seconds = exposure.wall_seconds + 1e-9 * static_cast<double>(now - exposure.arrival);
-  decision.state = current_->tracks.state;
-  decision.reason = current_->tracks.reason;
-  decision.views_differ = current_->tracks.views_differ;
-  if (const std::optional<MotionEstimate>& estimate = current_->tracks.estimate)
-  {
-    decision.room_from_patient = estimate->room_from_patient;
-    decision.pose_covariance = estimate->pose_covariance;
-    decision.displacement_covariance = estimate->covariance.topLeftCorner<3, 3>();
-    decision.displacement = displacement(estimate->room_from_patient);
-    decision.disagreement = estimate->disagreement;
-    decision.chi_square = estimate->chi_square;
-    decision.degrees_of_freedom = estimate->degrees_of_freedom;
-    decision.views = static_cast<int>(estimate->residuals.size());
-  }
-  if (current_->refinement)
-  {
-    const Refinement& refinement = *current_->refinement;
-    decision.state = MotionState::OK;
-    decision.reason.clear();
-    decision.source = PoseSource::REGISTERED;
-    decision.room_from_patient = refinement.refined;
-    decision.pose_covariance = refinement.covariance;
-    decision.displacement_covariance =
-        covarianceAt(target_centre_, refinement.refined, refinement.covariance).topLeftCorner<3, 3>();
-    decision.displacement = displacement(refinement.refined);
-    return decision;
-  }
-  decision.not_registered =
-      options_.method == PoseMethod::TRACKING ? "tracked poses are published" : current_->not_registered;
-  if (decision.state != MotionState::OK)
-  {
-    if (options_.method != PoseMethod::TRACKING && decision.reason != decision.not_registered)
-    {
-      decision.reason += "; not registered: " + decision.not_registered;
-    }
-  }
-  else if (options_.method == PoseMethod::REGISTRATION)
-  {
-    decision.state = MotionState::UNREGISTERED;
-    decision.reason = decision.not_registered;
-  }
-  else if (!contradiction_.empty() && options_.method == PoseMethod::TRACKING_AND_REGISTRATION)
-  {
-    decision.state = MotionState::INCONSISTENT;
-    decision.reason = "registration and tracks contradict each other: " + contradiction_;
-  }
-  else if (!unconfirmed_.empty())
-  {
-    decision.state = MotionState::NO_REFERENCE;
-    decision.reason = unconfirmed_;
-  }
-  else
-  {
-    decision.source = PoseSource::TRACKED;
-  }
-  return decision;
-}
-
 void MotionMonitor::tellGate(const MotionDecision& decision, std::int64_t now)
 {
   GateExposure exposure;
@@ -551,7 +384,7 @@ void MotionMonitor::tellGate(const MotionDecision& decision, std::int64_t now)
     exposure.registered = decision.source == PoseSource::REGISTERED;
     exposure.displacement = decision.displacement;
     exposure.covariance = decision.displacement_covariance;
-    exposure.rotation = rotation(decision.room_from_patient);
+    exposure.rotation = rules_.rotation(decision.room_from_patient);
     exposure.rotation_variance = largestEigenvalue(decision.pose_covariance.bottomRightCorner<3, 3>());
     for (std::size_t i = 0; !exposure.registered && i < options_.tracks.views.size(); ++i)
     {
@@ -564,13 +397,4 @@ void MotionMonitor::tellGate(const MotionDecision& decision, std::int64_t now)
   gate_.update(exposure);
 }
 
-Eigen::Vector3d MotionMonitor::displacement(const RigidTransform& room_from_patient) const
-{
-  return room_from_patient * target_centre_ - initial_pose_ * target_centre_;
-}
-
-double MotionMonitor::rotation(const RigidTransform& room_from_patient) const
-{
-  return rotationAngle(room_from_patient * initial_pose_.inverse());
-}
 }  // namespace xray_tracking

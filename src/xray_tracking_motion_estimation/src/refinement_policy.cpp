@@ -17,6 +17,10 @@ namespace
 constexpr int kChainWithoutTracks = 2;
 constexpr int kChainAgainstTracks = 3;
 
+/// On the bound of a correction, whatever speaks for it: with 5 mm it stays nearer than half of the way to the next
+/// vertebra, 18 mm in a neck, about.
+constexpr double kMaxFactor = 2.0;
+
 constexpr double kSigmas = 3.0;
 /// What two registrations of the same target are apart by that their covariances do not know of: twice the p95 of the
 /// field's best figures [mm].
@@ -192,6 +196,7 @@ RefinementPolicy::Judgement RefinementPolicy::judge(const RefinementReply& reply
   }
   const RefinementSeed exposure = std::exchange(pending_, std::nullopt)->exposure;
   Judgement judgement{ RefinementVerdict::ACCEPTED, fault(reply), std::nullopt };
+  bool outvoted = false;
   if (!judgement.reason.empty())
   {
     judgement.verdict = RefinementVerdict::REFUSED;
@@ -201,13 +206,19 @@ RefinementPolicy::Judgement RefinementPolicy::judge(const RefinementReply& reply
   {
     extendChain(reply, exposure.stamp);
     judgement.reason = excess(reply, exposure, 1.0);
-    if (judgement.reason.empty() && exposure.tracked && chain_->dense < kChainAgainstTracks)
+    if (judgement.reason.empty() && exposure.tracked)
     {
       judgement.reason = contradiction(reply, exposure);
+      outvoted = !judgement.reason.empty() && chain_->dense >= kChainAgainstTracks;
+      if (outvoted)
+      {
+        judgement.reason.clear();
+      }
     }
     chain_->against = exposure.tracked && !judgement.reason.empty() ? chain_->against + 1 : 0;
-    if (chain_->against >= kChainAgainstTracks && excess(reply, exposure, 2.0).empty())
+    if (chain_->against >= kChainAgainstTracks && excess(reply, exposure, kMaxFactor).empty())
     {
+      outvoted = true;
       judgement.reason.clear();
     }
     if (!judgement.reason.empty())
@@ -231,7 +242,7 @@ RefinementPolicy::Judgement RefinementPolicy::judge(const RefinementReply& reply
   not_before_ = 0;
   judgement.refinement =
       Refinement{ exposure.stamp, exposure.tracked ? std::make_optional(exposure.room_from_patient) : std::nullopt,
-                  reply.room_from_patient, reply.covariance };
+                  reply.room_from_patient, reply.covariance, outvoted };
   return judgement;
 }
 
@@ -260,8 +271,8 @@ std::string RefinementPolicy::fault(const RefinementReply& reply) const
 std::string RefinementPolicy::excess(const RefinementReply& reply, const RefinementSeed& exposure, double factor) const
 {
   const Twist correction = targetMotion(exposure.room_from_patient, reply.room_from_patient, target_centre_);
-  const double bound =
-      factor * options_.max_correction + (exposure.tracked ? 0.0 : options_.target_speed * exposure.since);
+  const double gone = exposure.tracked ? 0.0 : options_.target_speed * exposure.since;
+  const double bound = std::min(factor * options_.max_correction + gone, kMaxFactor * options_.max_correction);
   const double rotation_bound = factor * options_.max_correction_rotation;
   return correction.tail<3>().norm() <= bound && correction.head<3>().norm() <= rotation_bound
              ? std::string()

@@ -144,7 +144,7 @@ protected:
 
   static void loseFirst(std::vector<std::optional<TrackedView>>& views) { views[0]->state = RegionState::LOST; }
 
-  const Scene scene{ cyberknife(), { 5.0, -8.0, 3.0 } };
+  Scene scene{ cyberknife(), { 5.0, -8.0, 3.0 } };
   MotionMonitorOptions options;
   std::optional<MotionMonitor> monitor;
   std::vector<std::pair<std::int64_t, Eigen::Vector3d>> trained;  ///< of each view's template: stamp, motion
@@ -241,6 +241,59 @@ TEST_F(MonitorTest, OneSlowAnswerIsNoSlowRegistration)
   EXPECT_EQ(request().stamp, stamp - kInterval);
 }
 
+TEST_F(MonitorTest, WhatAnswersTookIsForgottenAtARestart)
+{
+  start();
+  for (const bool slow : { true, false })
+  {
+    for (int i = 0; slow && i < 2; ++i)
+    {
+      expose({ 0.0, 0.0, 0.0 });
+      monitor->onReply(believed(request().id, Eigen::Vector3d::Zero()), now + 90 * kMillisecond);
+      decision();
+    }
+    for (int i = 0; i < 3; ++i)
+    {
+      expose({ 0.0, 0.0, 0.0 });
+      now -= kInterval;  // all at once
+    }
+    now += kInterval;
+    monitor->onReply(believed(request().id, Eigen::Vector3d::Zero()), now + 90 * kMillisecond);
+    // The one behind it could not be answered in time, if what came before says so.
+    EXPECT_EQ(request().stamp, slow ? stamp : stamp - kInterval);
+    monitor->restart("");
+    while (monitor->takeDecision())
+    {
+    }
+  }
+}
+
+// While trackers have yet to learn, the patient is taken to be at the initial pose: that time is no leave to go
+// farther.
+TEST_F(MonitorTest, WaitingForTheFirstTemplatesGivesNoLeaveToGoFar)
+{
+  start();
+  const auto untrained = [](const std::string& fault)
+  {
+    return [fault](std::vector<std::optional<TrackedView>>& views)
+    {
+      for (std::optional<TrackedView>& view : views)
+      {
+        view->state = RegionState::UNTRAINED;
+        view->fault = fault;
+      }
+    };
+  };
+  for (int i = 0; i < 15; ++i)
+  {
+    expose({ 0.0, 0.0, 0.0 }, untrained(""));
+    expectNone(decision(), MotionState::WAITING, "untrained");
+  }
+  // 5 mm, and 15 mm/s for the 0.2 s since.
+  expectNone(registered({ 0.0, 0.0, 0.0 }, { 9.5, 0.0, 0.0 }, untrained("no contrast")), MotionState::WAITING,
+             "the correction is 9.5 mm and 0 rad, expected at most 8 mm");
+}
+
 TEST_F(MonitorTest, ARegistrationThatHangsHoldsUpNothing)
 {
   options.refinement.timeout = 1.0;
@@ -299,9 +352,20 @@ TEST_F(MonitorTest, AContradictionEndsPosesUntilThreeRegistrationsAgree)
     expectNone(registered({ 0.0, 0.0, 0.0 }, { 7.0, 0.0, 0.0 }), MotionState::INCONSISTENT, "contradict each other");
     EXPECT_FALSE(monitor->gate().open());
     EXPECT_FALSE(monitor->gate().verification().verified());
+    EXPECT_FALSE(monitor->takeProposal()) << "who is right is not known";
   }
   expectPose(registered({ 0.0, 0.0, 0.0 }, { 7.0, 0.0, 0.0 }), PoseSource::REGISTERED, { 7.0, 0.0, 0.0 }, kExact);
-  // From here on the tracks count from there.
+  // The views agree with each other on what is not the target: both learn it anew.
+  for (std::size_t view = 0; view < 2; ++view)
+  {
+    const std::optional<RegionProposal> proposal = monitor->takeProposal();
+    ASSERT_TRUE(proposal) << view;
+    EXPECT_EQ(proposal->view, view);
+    const TrackedView there = tracked(view, { 7.0, 0.0, 0.0 });
+    const Eigen::Vector2d expected = Eigen::Vector2d(there.region.x, there.region.y) + there.track.displacement;
+    EXPECT_LT((Eigen::Vector2d(proposal->region.x, proposal->region.y) - expected).norm(), 1.0);
+  }
+  // Until they have, their tracks count from there.
   expectPose(registered({ 0.5, 0.0, 0.0 }, { 7.0, 0.0, 0.0 }), PoseSource::REGISTERED, { 7.5, 0.0, 0.0 }, kExact);
 }
 
@@ -426,6 +490,49 @@ TEST_F(MonitorTest, ExposuresThatAreOfNoUseAreAnsweredAtOnce)
   expose({ 0.0, 0.0, 0.0 }, [](auto& views) { views[1].reset(); });
   monitor->onReply(doubted(request().id), now);
   expectNone(decision(), MotionState::LOST, "detector_b is silent");
+}
+
+// Two views of three are enough for tracks and for the registration.
+TEST_F(MonitorTest, AViewOfThreeThatShowsNothingIsLeftOut)
+{
+  scene.views = viewsAround(3);
+  options.tracks.views = { "a", "b", "c" };
+  start();
+  trained.push_back(trained.front());
+  const auto seen = [this](std::optional<RegionState> second, RegionState third)
+  {
+    expose({ 0.0, 0.0, 0.0 },
+           [&](std::vector<std::optional<TrackedView>>& views)
+           {
+             views.push_back(tracked(2, { 0.0, 0.0, 0.0 }));
+             views[2]->state = third;
+             if (second)
+             {
+               views[1]->state = *second;
+             }
+             else
+             {
+               views[1].reset();
+             }
+           });
+  };
+  const auto without = [this]
+  {
+    const RefinementRequest asked = request();
+    monitor->onReply(believed(asked.id, { 0.0, 0.0, 0.0 }), now);
+    expectPose(decision(), PoseSource::REGISTERED, { 0.0, 0.0, 0.0 }, kExact);
+    return asked.without;
+  };
+  seen(RegionState::TRACKING, RegionState::TRACKING);
+  EXPECT_EQ(without(), (std::vector<bool>{ false, false, false }));
+  seen(RegionState::BLIND, RegionState::TRACKING);
+  EXPECT_EQ(without(), (std::vector<bool>{ false, true, false }));
+  seen(std::nullopt, RegionState::TRACKING);
+  EXPECT_EQ(without(), (std::vector<bool>{ false, true, false }));
+  // One is no evidence.
+  seen(RegionState::BLIND, RegionState::BLIND);
+  EXPECT_FALSE(monitor->takeRequest());
+  EXPECT_EQ(decision().not_registered, "b is blind");
 }
 
 /// With the method registration, where the tracked pose is not published.

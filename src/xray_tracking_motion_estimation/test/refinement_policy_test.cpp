@@ -303,7 +303,8 @@ TEST_F(RefinementTest, WithoutTracksItTakesTwoThatAgree)
   EXPECT_TRUE(refine(policy, lostAt(moved(7.3), 0.1), moved(7.5)).refinement);
 }
 
-// 17 mm to the next vertebra, which a target at 15 mm/s and a correction of 5 mm reach after 0.8 s.
+// 17 mm to the next vertebra, which a target at 15 mm/s and a correction of 5 mm would reach after 0.8 s, but nobody
+// gets farther than 10 mm.
 TEST_F(RefinementTest, WithoutTracksNobodyGetsFartherThanATargetMoves)
 {
   options.mode = RefinementMode::EVERY_FRAME;
@@ -314,7 +315,17 @@ TEST_F(RefinementTest, WithoutTracksNobodyGetsFartherThanATargetMoves)
     EXPECT_EQ(judgement.verdict, RefinementVerdict::REFUSED);
     EXPECT_NE(judgement.reason.find("correction is 17"), std::string::npos) << judgement.reason;
   }
-  EXPECT_TRUE(refine(policy, lostAt(moved(0.0), 0.81), moved(17.0)).refinement);
+  EXPECT_EQ(refine(policy, lostAt(moved(0.0), 0.25), moved(9.0)).verdict, RefinementVerdict::REFUSED);
+  for (const double since : { 0.81, 2.0, 1e6 })
+  {
+    for (const double way : { 17.0, 10.1 })
+    {
+      const RefinementPolicy::Judgement judgement = refine(policy, lostAt(moved(0.0), since), moved(way));
+      EXPECT_EQ(judgement.verdict, RefinementVerdict::REFUSED);
+      EXPECT_NE(judgement.reason.find("expected at most 10 mm"), std::string::npos) << judgement.reason;
+    }
+  }
+  EXPECT_TRUE(refine(policy, lostAt(moved(0.0), 0.34), moved(9.9)).refinement) << "the ones before agree with it";
 }
 
 // Two that are farther apart than a target moves meanwhile do not agree: 0.5 mm, what registrations spread by, and

@@ -58,9 +58,11 @@ cv::Rect coveredPart(const PictureRequest& request, const cv::Size& image)
 cv::Mat greyRendering(const PictureRequest& request, cv::Mat& seen)
 {
   const Rendering& rendering = *request.rendering;
+  const auto grid = gridFromPicture(request.mapping, rendering.first, rendering.step);
   cv::Mat integrals;
-  cv::warpAffine(rendering.line_integrals, integrals, gridFromPicture(request.mapping, rendering.first, rendering.step),
-                 request.size, cv::WARP_INVERSE_MAP | cv::INTER_LINEAR, cv::BORDER_CONSTANT, cv::Scalar(0.0));
+  // Beyond its border as at it, so that the border is no edge.
+  cv::warpAffine(rendering.line_integrals, integrals, grid, request.size, cv::WARP_INVERSE_MAP | cv::INTER_LINEAR,
+                 cv::BORDER_REPLICATE);
   // Over all of the rendering, so that it does not change with the zoom.
   std::vector<float> values;
   for (int row = 0; row < rendering.line_integrals.rows; row += 2)

@@ -86,7 +86,7 @@ public:
   struct Messages
   {
     Recent<sensor_msgs::Image> images{ 12 };
-    Recent<xray_tracking_msgs::TrackedRegion> regions{ 120 };
+    Recent<xray_tracking_msgs::TrackedRegion> regions{ 60 };
     sensor_msgs::CameraInfoConstPtr camera_info;  ///< the newest
     double image_age = 0.0;                       ///< since the newest image came, by the monotonic clock [s]
     double rate = 0.0;                            ///< of images, over the last ones [Hz]

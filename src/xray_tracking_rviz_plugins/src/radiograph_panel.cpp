@@ -161,6 +161,20 @@ Overlay RadiographPanel::overlay() const
   return static_cast<Overlay>(overlay_box_->currentIndex());
 }
 
+void RadiographPanel::arrange()
+{
+  const double count = std::max<double>(1.0, static_cast<double>(panes_.size()));
+  const double side_by_side = std::min(width() / count, static_cast<double>(height()));
+  const double stacked = std::min<double>(width(), height() / count);
+  panes_layout_->setDirection(stacked > side_by_side ? QBoxLayout::TopToBottom : QBoxLayout::LeftToRight);
+}
+
+void RadiographPanel::resizeEvent(QResizeEvent* event)
+{
+  rviz::Panel::resizeEvent(event);
+  arrange();
+}
+
 void RadiographPanel::setOverlay()
 {
   share_slider_->setEnabled(overlay() == Overlay::BLEND || overlay() == Overlay::EDGES);
@@ -220,6 +234,7 @@ void RadiographPanel::addPane(const std::string& detector)
       std::find_if(panes_.begin(), panes_.end(), [&](const auto& other) { return other->detector() > detector; });
   panes_layout_->insertWidget(static_cast<int>(place - panes_.begin()), pane.get(), 1);
   panes_.insert(place, std::move(pane));
+  arrange();
 }
 
 void RadiographPanel::followRoom()

@@ -14,6 +14,7 @@
 #include "detector_pane.h"
 
 class QComboBox;
+class QBoxLayout;
 class QHBoxLayout;
 class QLabel;
 class QPushButton;
@@ -42,6 +43,9 @@ public:
   /// The panes, in the order of the detectors' names.
   std::vector<DetectorPane*> panes() const;
 
+protected:
+  void resizeEvent(QResizeEvent* event) override;
+
 private Q_SLOTS:
   void refresh();
   void setOverlay();
@@ -61,6 +65,8 @@ private:
   };
 
   void buildTools(QHBoxLayout* tools);
+  /// Side by side or one above the other, whichever shows them larger.
+  void arrange();
   void followRoom();
   void addPane(const std::string& detector);
   void askForRendering();
@@ -77,7 +83,7 @@ private:
   QPushButton* region_button_;
   QLabel* rendering_label_;
   QLabel* empty_label_;
-  QHBoxLayout* panes_layout_;
+  QBoxLayout* panes_layout_;
   QTimer* timer_;
   std::vector<std::unique_ptr<DetectorPane>> panes_;
   std::map<std::string, GreyWindow> saved_windows_;  ///< of detectors that may still come

@@ -1,9 +1,13 @@
 #pragma once
 
+#include <ctime>
+
+#include <algorithm>
 #include <chrono>
 #include <functional>
 #include <memory>
 #include <string>
+#include <vector>
 
 #include <QApplication>
 #include <QDockWidget>
@@ -17,6 +21,45 @@
 
 namespace xray_tracking
 {
+/// Knows how long our own objects, and what is in our widgets, have kept the GUI thread with one event.
+class TimedApplication : public QApplication
+{
+public:
+  using QApplication::QApplication;
+
+  bool notify(QObject* receiver, QEvent* event) override
+  {
+    const double start = processorTime();
+    const auto wall_start = std::chrono::steady_clock::now();
+    bool ours = false;
+    for (const QObject* object = receiver; object != nullptr && !ours; object = object->parent())
+    {
+      ours = QByteArray(object->metaObject()->className()).startsWith("xray_tracking::");
+    }
+    const bool result = QApplication::notify(receiver, event);
+    if (ours)
+    {
+      longest = std::max(longest, processorTime() - start);
+      longest_wall =
+          std::max(longest_wall, std::chrono::duration<double>(std::chrono::steady_clock::now() - wall_start).count());
+      ++events;
+    }
+    return result;
+  }
+
+  /// Of this thread [s].
+  static double processorTime()
+  {
+    timespec now{};
+    clock_gettime(CLOCK_THREAD_CPUTIME_ID, &now);
+    return static_cast<double>(now.tv_sec) + 1e-9 * static_cast<double>(now.tv_nsec);
+  }
+
+  static inline double longest = 0.0;       ///< processor time of one event [s]
+  static inline double longest_wall = 0.0;  ///< [s]
+  static inline int events = 0;
+};
+
 /// RViz's own main window in this process, on the display that with_display makes. There is one for all tests of a
 /// program, as Ogre allows no second; each test gets it without displays and panels.
 class RvizWindow : public testing::Test
@@ -27,7 +70,7 @@ public:
   {
     testing::InitGoogleTest(&argc, argv);
     ros::init(argc, argv, node_name, ros::init_options::NoSigintHandler);
-    QApplication application(argc, argv);
+    TimedApplication application(argc, argv);
     rviz::VisualizationFrame frame;
     frame.setSplashPath("");
     frame.initialize(XRAY_TRACKING_TEST_FOLDER "/empty.rviz");

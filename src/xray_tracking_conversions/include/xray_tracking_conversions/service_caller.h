@@ -11,7 +11,10 @@
 #include <utility>
 
 #include <ros/callback_queue.h>
+#include <ros/connection.h>
 #include <ros/ros.h>
+#include <ros/service_manager.h>
+#include <ros/service_server_link.h>
 
 namespace xray_tracking
 {
@@ -49,9 +52,11 @@ public:
       wake_.notify_all();
       while (!ended_)
       {
-        // Again and again: a call that begins just now opens the connection anew.
-        client_.shutdown();
-        wake_.wait_for(lock, std::chrono::milliseconds(10));
+        const ros::ConnectionPtr connection = connectionToDrop();
+        lock.unlock();
+        drop(connection);
+        lock.lock();
+        wake_.wait_for(lock, std::chrono::milliseconds(10), [this] { return ended_; });
       }
     }
     thread_.join();
@@ -69,22 +74,28 @@ public:
       }
       busy_ = true;
       cancelled_ = false;
+      asked_ = ros::SteadyTime::now();
       request_ = std::move(request);
     }
     wake_.notify_all();
     return true;
   }
 
-  /// Breaks off the call under way, if there is one: its answer is none. To be repeated: a call that begins just then
-  /// opens the connection anew.
-  void cancel()
+  /// Breaks off the call under way, if there is one that has taken longer: its answer is none. To be repeated, as a
+  /// call that has only just begun is left alone.
+  void cancelAfter(const ros::WallDuration& time)
   {
-    const std::lock_guard<std::mutex> lock(mutex_);
-    if (busy_)
+    ros::ConnectionPtr connection;
     {
+      const std::lock_guard<std::mutex> lock(mutex_);
+      if (!busy_ || (!cancelled_ && ros::SteadyTime::now() - asked_ <= time))
+      {
+        return;
+      }
       cancelled_ = true;
-      client_.shutdown();
+      connection = connectionToDrop();
     }
+    drop(connection);
   }
 
 private:
@@ -130,6 +141,7 @@ private:
           boost::make_shared<Callback>([this, why, response = std::move(message.response)] { deliver(response, why); }),
           id());
     }
+    close();
     ended_ = true;
     wake_.notify_all();
   }
@@ -143,43 +155,76 @@ private:
     answered_(why.empty() ? std::optional<typename Service::Response>(response) : std::nullopt, why);
   }
 
+  /// Of a call that can be broken off; null if there is none. A link drops what it has queued when its connection is
+  /// dropped, but between a look at the connection and the queue it would wait for ever: so not before it surely waits.
+  ros::ConnectionPtr connectionToDrop() const
+  {
+    constexpr double kSurelyWaits = 0.1;  // [s]
+    return calling_ && (ros::SteadyTime::now() - calling_since_).toSec() > kSurelyWaits ? link_->getConnection()
+                                                                                        : ros::ConnectionPtr();
+  }
+
+  /// As roscpp does from another thread when it shuts down. Unlocked: it waits for the call's end.
+  static void drop(const ros::ConnectionPtr& connection)
+  {
+    if (connection)
+    {
+      connection->drop(ros::Connection::Destructing);
+    }
+  }
+
   /// Unlocks while it waits. @return why there is no response; empty if there is
   std::string attempt(Service& message, std::unique_lock<std::mutex>& lock)
   {
+    const ros::SerializedMessage request = ros::serialization::serializeMessage(message.request);
     // A connection that was open may have ended with the node at its other side; a new one tells.
-    for (bool kept = client_.isValid();; kept = false)
+    for (bool kept = link_ && link_->isValid();; kept = false)
     {
       if (!kept)
       {
         lock.unlock();
-        const bool exists = ros::service::exists(name_, false);
-        // Persistent: shutdown() breaks off no other kind of call.
-        ros::ServiceClient client = exists ? nh_.serviceClient<Service>(name_, true) : ros::ServiceClient();
+        const std::string md5 = ros::service_traits::md5sum<Service>();
+        const ros::ServiceServerLinkPtr link =
+            ros::ServiceManager::instance()->createServiceServerLink(name_, true, md5, md5, ros::M_string());
         lock.lock();
-        if (!exists)
+        link_ = link;
+        if (!link)
         {
           return "there is no service " + name_;
         }
-        client_ = client;
       }
       if (stop_ || cancelled_)
       {
         return "broken off";
       }
-      ros::ServiceClient client = client_;
+      calling_ = true;
+      calling_since_ = ros::SteadyTime::now();
+      const ros::ServiceServerLinkPtr link = link_;
       lock.unlock();
-      const bool done = client.call(message);
+      ros::SerializedMessage response;
+      const bool done = link->call(request, response);
       lock.lock();
+      calling_ = false;
       if (done)
       {
+        ros::serialization::deserializeMessage(response, message.response);
         return std::string();
       }
-      client_.shutdown();
-      client_ = ros::ServiceClient();
+      close();
       if (stop_ || cancelled_ || !kept)
       {
         return "the call of " + name_ + " failed or was broken off";
       }
+    }
+  }
+
+  /// Nothing is called.
+  void close()
+  {
+    if (link_)
+    {
+      link_->getConnection()->drop(ros::Connection::Destructing);
+      link_.reset();
     }
   }
 
@@ -189,7 +234,12 @@ private:
   std::mutex mutex_;  ///< of all below
   std::condition_variable wake_;
   std::optional<typename Service::Request> request_;
-  ros::ServiceClient client_;
+  /// What a persistent ros::ServiceClient has inside. Its shutdown() may not be called beside its call(): both touch
+  /// the same pointer to the link.
+  ros::ServiceServerLinkPtr link_;
+  bool calling_ = false;  ///< the thread is in the link's call(), or just before or behind it
+  ros::SteadyTime calling_since_;
+  ros::SteadyTime asked_;  ///< when the call was asked for
   bool busy_ = false;
   bool cancelled_ = false;
   bool stop_ = false;

@@ -24,8 +24,8 @@
 #include "xray_tracking_conversions/service_caller.h"
 #include "xray_tracking_core/sequence/treatment_setup.h"
 #include "xray_tracking_motion_estimation/beam_gate_publisher.h"
-#include "xray_tracking_motion_estimation/camera_info_watch.h"
 #include "xray_tracking_motion_estimation/exposure_assembler.h"
+#include "xray_tracking_motion_estimation/geometry_watch.h"
 #include "xray_tracking_motion_estimation/motion_estimation_parameters.h"
 #include "xray_tracking_motion_estimation/motion_monitor.h"
 #include "xray_tracking_motion_estimation/motion_report.h"
@@ -54,8 +54,6 @@ private:
     std::string name;
     ros::Subscriber camera_info_subscriber;
     ros::Subscriber tracked_region_subscriber;
-    CameraInfoWatch camera_info;
-    RigidTransform room_from_optical;  ///< the one that the monitor uses, if there is one
     ros::SteadyTime last_arrival;
     bool silent = false;  ///< not waited for while two others are there
     std::unique_ptr<ServiceCaller<TrainRegion>> trainer;
@@ -95,7 +93,7 @@ private:
   std::shared_future<TargetShape> shape_;  ///< may have to be read from a CT
   std::vector<View> views_;
   std::optional<ExposureAssembler<TrackedRegion::ConstPtr>> assembler_;
-  bool has_geometry_ = false;
+  bool has_geometry_ = false;  ///< the monitor
   std::optional<MotionMonitor> monitor_;
   MotionReport report_;
   BeamGate idle_gate_;  ///< of a node that cannot work
@@ -106,6 +104,7 @@ private:
   ros::SteadyTime first_arrival_;
 
   tf2_ros::Buffer tf_buffer_;
+  std::optional<GeometryWatch> geometry_;
   tf2_ros::TransformListener tf_listener_;
   tf2_ros::TransformBroadcaster tf_broadcaster_;
   ros::Publisher pose_publisher_;

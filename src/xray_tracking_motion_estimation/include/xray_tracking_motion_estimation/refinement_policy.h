@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include <Eigen/Core>
 
@@ -44,7 +45,8 @@ struct RefinementPolicyOptions
   double max_correction_rotation = 0.07;  ///< [rad]
 
   /// Speed that the target's centre can have, >= 0 [mm/s]: by it and the time since the last pose the bound of the
-  /// correction grows where there is no tracked pose, and by it two registrations of the same target may differ.
+  /// correction grows where there is no tracked pose, to twice its size at most, and by it two registrations of the
+  /// same target may differ.
   double target_speed = 15.0;
 
   /// Similarity that a refinement must reach, in the units of the registration's measure, which is to grow with the
@@ -75,6 +77,7 @@ struct RefinementRequest
   std::int64_t stamp;                ///< exposure that is to be registered [ns]
   RigidTransform room_from_patient;  ///< where to start
   bool unverified;                   ///< nothing has confirmed where to start
+  std::vector<bool> without{};       ///< views whose images say nothing of the patient, if there are any
 };
 
 struct RefinementReply
@@ -95,6 +98,9 @@ struct Refinement
   std::optional<RigidTransform> tracked;
   RigidTransform refined;
   PoseCovariance covariance;  ///< of `refined`
+  /// The tracks contradicted it, and registrations that agree with each other have outvoted them: what they follow is
+  /// not the target.
+  bool outvoted = false;
 
   /// What an exposure's tracked pose becomes: the tracked motion of the target since the refined exposure (or from then
   /// back), applied where the target is after all; only if `tracked` is known. For tracks that measure translations
@@ -117,8 +123,8 @@ enum class RefinementVerdict
 /// with each other, by the way that the target can have gone meanwhile, outweigh tracks: three in a row those that are
 /// off by more than chi-square allows, if exposures are so dense that this way is less than the bound; three in a row
 /// that contradict them those that are off by up to twice the bound; two in a row those that have lost the target, up
-/// to the bound and the way that the target can have gone since the last pose. So nobody gets to the next vertebra at
-/// once.
+/// to the bound and the way that the target can have gone since the last pose, twice the bound at most. So nobody gets
+/// to the next vertebra, which is 18 mm away or more, however long nothing was seen.
 class RefinementPolicy
 {
 public:

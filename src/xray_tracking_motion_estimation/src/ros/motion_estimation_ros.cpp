@@ -10,6 +10,7 @@
 #include <geometry_msgs/TransformStamped.h>
 #include <xray_tracking_msgs/PatientMotion.h>
 
+#include "motion_messages.h"
 #include "tracked_view_message.h"
 #include "xray_tracking_conversions/conversions.h"
 #include "xray_tracking_core/stopwatch.h"
@@ -20,24 +21,16 @@ namespace xray_tracking
 namespace
 {
 using xray_tracking_msgs::PatientMotion;
-using xray_tracking_msgs::RefinementResult;
 using RefinePose = xray_tracking_msgs::RefinePose;
-
-static_assert(static_cast<int>(MotionState::OK) == PatientMotion::OK);
-static_assert(static_cast<int>(MotionState::WAITING) == PatientMotion::WAITING);
-static_assert(static_cast<int>(MotionState::LOST) == PatientMotion::LOST);
-static_assert(static_cast<int>(MotionState::INCONSISTENT) == PatientMotion::INCONSISTENT);
-static_assert(static_cast<int>(MotionState::NO_REFERENCE) == PatientMotion::NO_REFERENCE);
-static_assert(static_cast<int>(MotionState::BAD_STAMP) == PatientMotion::BAD_STAMP);
-static_assert(static_cast<int>(MotionState::UNREGISTERED) == PatientMotion::UNREGISTERED);
-static_assert(static_cast<int>(PoseSource::NONE) == PatientMotion::NONE);
-static_assert(static_cast<int>(PoseSource::TRACKED) == PatientMotion::TRACKED);
-static_assert(static_cast<int>(PoseSource::REGISTERED) == PatientMotion::REGISTERED);
 
 /// A stamp may be ahead by what two computers' clocks usually differ. Messages of a played bag are ahead of the last
 /// tick of its clock by up to a tick: 10 ms, times the playback's speed, which may be a hundred [ns].
 constexpr std::int64_t kMaxAhead = 5000000;
 constexpr std::int64_t kClockTick = 1000000000;
+
+/// A region is learnt within a second, on the next exposure, or not at all, as where the tracker hangs: the next
+/// proposal is to find another chance [s].
+const ros::WallDuration kTrainTimeout(5.0);
 
 /// A recording that is played again without its clock is told from old exposures that come once more [ns].
 constexpr std::int64_t kRestartConfirmed = 1000000000;
@@ -52,42 +45,6 @@ std::int64_t steadyNanoseconds()
   return static_cast<std::int64_t>(ros::SteadyTime::now().toNSec());
 }
 
-/// Of numbers that others have sent too: what ros::Duration does not hold would throw.
-ros::Duration durationFromSeconds(double seconds)
-{
-  return ros::Duration(std::clamp(seconds, 0.0, 1e9));
-}
-
-RefinementReply replyFrom(std::uint64_t id, const std::optional<RefinePose::Response>& response, const std::string& why)
-{
-  RefinementReply reply;
-  reply.id = id;
-  reply.text = why;
-  if (!response)
-  {
-    return reply;
-  }
-  const RefinementResult& result = response->result;
-  if (result.status != RefinementResult::SUCCESS)
-  {
-    reply.text =
-        "the registration's status is " + std::to_string(static_cast<int>(result.status)) + ": " + result.reason;
-    return reply;
-  }
-  try
-  {
-    reply.room_from_patient = rigidFromPoseMsg(result.pose.pose);
-    reply.covariance = covarianceFromPoseMsg(result.pose);
-    reply.seed_similarity = result.similarity_before;
-    reply.similarity = result.similarity_after;
-    reply.success = true;
-  }
-  catch (const std::exception& error)  // of a pose that is none
-  {
-    reply.text = error.what();
-  }
-  return reply;
-}
 }  // namespace
 
 MotionEstimationRos::MotionEstimationRos(const ros::NodeHandle& nh, const ros::NodeHandle& pnh)
@@ -180,6 +137,7 @@ void MotionEstimationRos::start()
   assembler_.emplace(detectors.size(), parameters_.queue_size,
                      nanosecondsFromSeconds(parameters_.monitor.tracks.pairing_tolerance),
                      StampPolicy::Options{ ros::Time::isSimTime() ? kClockTick : kMaxAhead, kRestartConfirmed });
+  geometry_.emplace(detectors, tf_buffer_);
   views_.resize(detectors.size());
   for (std::size_t i = 0; i < detectors.size(); ++i)
   {
@@ -196,7 +154,7 @@ void MotionEstimationRos::subscribe(View& view, std::size_t index)
 {
   const ros::TransportHints no_delay = ros::TransportHints().tcpNoDelay();
   const boost::function<void(const sensor_msgs::CameraInfo::ConstPtr&)> camera_info_cb =
-      [&view](const sensor_msgs::CameraInfo::ConstPtr& info) { view.camera_info.update(view.name, *info); };
+      [this, index](const sensor_msgs::CameraInfo::ConstPtr& info) { geometry_->update(index, *info); };
   view.camera_info_subscriber =
       nh_.subscribe<sensor_msgs::CameraInfo>(view.name + "/camera_info", 10, camera_info_cb, nullptr, no_delay);
   const boost::function<void(const TrackedRegion::ConstPtr&)> tracked_region_cb =
@@ -289,49 +247,22 @@ void MotionEstimationRos::trackedRegionCb(const TrackedRegion::ConstPtr& message
 
 std::string MotionEstimationRos::checkGeometry()
 {
+  const std::string fault = geometry_->check();
+  if (!fault.empty() || has_geometry_)
+  {
+    return fault;
+  }
+  if (shape_.wait_for(std::chrono::seconds(0)) == std::future_status::timeout)
+  {
+    return "the target's shape is being taken from " + setup_.ct_path;
+  }
   try
   {
-    for (View& view : views_)
-    {
-      const CameraInfoWatch& camera_info = view.camera_info;
-      if (!camera_info.fault().empty())
-      {
-        return view.name + ": " + camera_info.fault();
-      }
-      if (!camera_info.valid())
-      {
-        return "no " + nh_.resolveName(view.name + "/camera_info") + " so far";
-      }
-      const auto message = tf_buffer_.lookupTransform(kRoomFrame, camera_info.frame(), ros::Time(0));
-      const RigidTransform room_from_optical = rigidFromTransformMsg(message.transform);
-      if (!has_geometry_)
-      {
-        view.room_from_optical = room_from_optical;
-      }
-      // Rounding of what combines transforms is let through; in mm and of the rotation times the distances, it is less
-      // than a micrometre.
-      else if (!room_from_optical.isApprox(view.room_from_optical, 1e-10))
-      {
-        return view.name + ": frame " + camera_info.frame() + " has moved in " + kRoomFrame +
-               ", expected it to stay where it was at first";
-      }
-    }
-    if (!has_geometry_)
-    {
-      if (shape_.wait_for(std::chrono::seconds(0)) == std::future_status::timeout)
-      {
-        return "the target's shape is being taken from " + setup_.ct_path;
-      }
-      std::vector<ProjectionGeometry> geometries;
-      for (const View& view : views_)
-      {
-        geometries.push_back(view.camera_info.geometry(view.name, view.room_from_optical));
-      }
-      monitor_->tracks().setGeometry(geometries, shape_.get());
-      has_geometry_ = true;
-    }
+    monitor_->tracks().setGeometry(geometry_->geometries(), shape_.get());
+    geometry_->accept();
+    has_geometry_ = true;
   }
-  catch (const std::exception& error)  // tf2's, of a geometry that is none, or of a CT
+  catch (const std::exception& error)  // of a geometry that is none, or of a CT
   {
     return error.what();
   }
@@ -356,7 +287,7 @@ void MotionEstimationRos::settle()
   }
   if (registration_ && !monitor_->refinement().pending())
   {
-    registration_->cancel();  // what was given up
+    registration_->cancelAfter(ros::WallDuration(0.0));  // what was given up
   }
   if (const std::optional<RefinementRequest> request = monitor_->takeRequest())
   {
@@ -378,23 +309,7 @@ void MotionEstimationRos::settle()
 
 void MotionEstimationRos::publish(const MotionDecision& decision)
 {
-  PatientMotion motion;
-  motion.header.stamp = timeFromNanoseconds(decision.stamp);
-  motion.header.frame_id = kRoomFrame;
-  motion.state = static_cast<std::uint8_t>(decision.state);
-  motion.reason = decision.reason;
-  motion.method = poseMethodName(parameters_.monitor.method);
-  motion.source = static_cast<std::uint8_t>(decision.source);
-  motion.not_registered = decision.not_registered;
-  motion.translation = vectorMsgFromMillimetres(decision.displacement);
-  motion.covariance = covarianceMsgFromMillimetres(decision.displacement_covariance);
-  motion.views_differ = static_cast<std::uint8_t>(decision.views_differ);
-  motion.disagreement = decision.disagreement;
-  motion.chi_square = decision.chi_square;
-  motion.degrees_of_freedom = static_cast<std::uint32_t>(decision.degrees_of_freedom);
-  motion.views = static_cast<std::uint32_t>(decision.views);
-  motion.cpu_time = durationFromSeconds(decision.cpu_seconds);
-  motion.wall_time = durationFromSeconds(decision.wall_seconds);
+  const PatientMotion motion = patientMotionFrom(decision, parameters_.monitor.method);
   if (decision.state == MotionState::OK)
   {
     geometry_msgs::TransformStamped transform;
@@ -402,10 +317,7 @@ void MotionEstimationRos::publish(const MotionDecision& decision)
     transform.child_frame_id = kPatientFrame;
     transform.transform = transformMsgFromRigid(decision.room_from_patient);
     tf_broadcaster_.sendTransform(transform);
-    geometry_msgs::PoseWithCovarianceStamped pose;
-    pose.header = motion.header;
-    pose.pose = poseWithCovarianceMsg(decision.room_from_patient, decision.pose_covariance);
-    pose_publisher_.publish(pose);
+    pose_publisher_.publish(poseStampedFrom(decision.stamp, decision.room_from_patient, decision.pose_covariance));
     publishPrediction();
   }
   if (decision.state != MotionState::BAD_STAMP)
@@ -423,11 +335,8 @@ void MotionEstimationRos::publishPrediction()
       monitor_->predict(now + nanosecondsFromSeconds(parameters_.monitor.prediction.latency));
   if (prediction)
   {
-    geometry_msgs::PoseWithCovarianceStamped pose;
-    pose.header.stamp = timeFromNanoseconds(prediction->stamp);
-    pose.header.frame_id = kRoomFrame;
-    pose.pose = poseWithCovarianceMsg(prediction->room_from_patient, prediction->covariance);
-    prediction_publisher_.publish(pose);
+    prediction_publisher_.publish(
+        poseStampedFrom(prediction->stamp, prediction->room_from_patient, prediction->covariance));
   }
 }
 
@@ -443,6 +352,13 @@ void MotionEstimationRos::ask(const RefinementRequest& request)
   message.request.stamp = timeFromNanoseconds(request.stamp);
   message.request.time_budget = parameters_.monitor.refinement.timeout;
   message.request.unverified = static_cast<std::uint8_t>(request.unverified);
+  for (std::size_t i = 0; i < request.without.size(); ++i)
+  {
+    if (request.without[i])
+    {
+      message.request.without.push_back(views_[i].name);
+    }
+  }
   if (registration_->call(message))
   {
     asked_ = request.id;
@@ -462,7 +378,9 @@ void MotionEstimationRos::train(const RegionProposal& proposal)
   ROS_WARN_STREAM(view.name << " does not follow the target, and is to learn its region anew where the registration "
                                "sees it");
   request.region = regionMsgFromRect(proposal.region);
-  view.trainer->call(request);
+  ROS_WARN_STREAM_COND(!view.trainer->call(request),
+                       view.name << ": an earlier train_region is still under way, and is given up after "
+                                 << kTrainTimeout.toSec() << " s");
 }
 
 bool MotionEstimationRos::refineCb(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response)
@@ -510,15 +428,20 @@ void MotionEstimationRos::operatorPresentCb(const std_msgs::Header::ConstPtr&)
 
 void MotionEstimationRos::watchdogCb(const ros::SteadyTimerEvent&)
 {
-  if (configuration_fault_.empty())
-  {
-    monitor_->onTime(steadyNanoseconds());
-    settle();
-  }
-  else
+  if (!configuration_fault_.empty())
   {
     publishGate();
+    return;
   }
+  for (View& view : views_)
+  {
+    if (view.trainer)
+    {
+      view.trainer->cancelAfter(kTrainTimeout);
+    }
+  }
+  monitor_->onTime(steadyNanoseconds());
+  settle();
 }
 
 void MotionEstimationRos::deadlineCb(const ros::SteadyTimerEvent&)
@@ -547,9 +470,10 @@ void MotionEstimationRos::reportCb(const ros::SteadyTimerEvent&)
 std::vector<ViewReport> MotionEstimationRos::viewReports() const
 {
   std::vector<ViewReport> reports;
-  for (const View& view : views_)
+  for (std::size_t i = 0; i < views_.size(); ++i)
   {
-    reports.push_back({ view.name, view.tracked_region_subscriber.getTopic(), view.camera_info.fault(), view.silent });
+    const View& view = views_[i];
+    reports.push_back({ view.name, view.tracked_region_subscriber.getTopic(), geometry_->fault(i), view.silent });
   }
   return reports;
 }

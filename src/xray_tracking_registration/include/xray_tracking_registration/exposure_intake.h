@@ -37,10 +37,11 @@ public:
 
   /// The exposure of a stamp; waits for what of it is still on its way.
   /// @param stamp_ns zero: the latest with all views
+  /// @param without names of detectors that are not waited for
   /// @param broken_off asked whenever something has come, or wake() was called: no reason to wait any longer
   /// @param reason why there is none, if there is none
-  std::optional<FoundExposure> find(std::int64_t stamp_ns, const std::function<bool()>& broken_off,
-                                    std::string& reason);
+  std::optional<FoundExposure> find(std::int64_t stamp_ns, const std::vector<std::string>& without,
+                                    const std::function<bool()>& broken_off, std::string& reason);
   /// find() asks whether it is broken off.
   void wake();
 

@@ -52,7 +52,8 @@ public:
   /// @param stamp_ns zero: that of the latest with all views, which it is then set to
   const StoredExposure* find(std::int64_t& stamp_ns) const;
   /// Names the first image or camera_info that the exposure lacks; empty if it has all.
-  std::string missingView(const StoredExposure& exposure) const;
+  /// @param without names of detectors that may be missing
+  std::string missingView(const StoredExposure& exposure, const std::vector<std::string>& without = {}) const;
 
   std::size_t size() const { return exposures_.size(); }
 

@@ -25,16 +25,19 @@ ProjectionGeometry geometryOf(const ProjectionGeometry& detector, const sensor_m
 
 /// The views of an exposure that is complete. Where a geometry could not be told when its camera_info came, it is tried
 /// again. They refer to the exposure's images.
+/// @param without names of detectors that are left out
 /// @throws std::invalid_argument saying what is wrong with which view
 std::vector<RegistrationView> viewsOf(const StoredExposure& exposure, const TreatmentSetup& setup,
-                                      const tf2_ros::Buffer& tf_buffer);
+                                      const std::vector<std::string>& without, const tf2_ros::Buffer& tf_buffer);
 
 /// How wide a request wants the pose searched. @throws std::invalid_argument naming the field and its value
 Search searchOf(const xray_tracking_msgs::RefinementRequest& message);
 
 /// Seed, bounds, budget and regions of a request onto `request`, whose values stay where the message has zeros.
+/// @param setup that the request's regions are of, one a detector
 /// @throws std::invalid_argument naming the field and its value
-void applyRequest(const xray_tracking_msgs::RefinementRequest& message, RegistrationRequest& request);
+void applyRequest(const xray_tracking_msgs::RefinementRequest& message, const TreatmentSetup& setup,
+                  RegistrationRequest& request);
 
 /// The exposure that a request brings along. @throws std::invalid_argument naming what is missing
 StoredExposure exposureOf(const xray_tracking_msgs::RefinementRequest& message, const TreatmentSetup& setup);

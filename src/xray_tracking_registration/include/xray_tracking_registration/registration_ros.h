@@ -60,7 +60,8 @@ private:
   void publishRefined(std::int64_t stamp_ns, const RefinementResult& result, double cpu_seconds,
                       const ros::SteadyTime& arrival);
   /// With all but the start.
-  RegistrationRequest requestFor(const StoredExposure& exposure, Search search, const Progress& progress) const;
+  RegistrationRequest requestFor(const StoredExposure& exposure, const RefinementRequest& message,
+                                 const Progress& progress) const;
 
   /// The CT in use. @param why out: why there is none
   std::shared_ptr<const Registration> registration(std::string& why);

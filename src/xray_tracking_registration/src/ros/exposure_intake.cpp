@@ -131,15 +131,15 @@ void ExposureIntake::takeImage(std::size_t detector, const sensor_msgs::ImageCon
   changed_.notify_all();
 }
 
-std::optional<FoundExposure> ExposureIntake::find(std::int64_t stamp_ns, const std::function<bool()>& broken_off,
-                                                  std::string& reason)
+std::optional<FoundExposure> ExposureIntake::find(std::int64_t stamp_ns, const std::vector<std::string>& without,
+                                                  const std::function<bool()>& broken_off, std::string& reason)
 {
   std::unique_lock<std::mutex> lock(mutex_);
   const StoredExposure* stored = nullptr;
   const auto complete = [&]
   {
     stored = store_.find(stamp_ns);
-    return stored != nullptr && store_.missingView(*stored).empty();
+    return stored != nullptr && store_.missingView(*stored, without).empty();
   };
   if (changed_.wait_for(lock, kArrivalTime, [&] { return broken_off() || complete(); }) && complete())
   {

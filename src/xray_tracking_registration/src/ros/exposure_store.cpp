@@ -78,10 +78,14 @@ StoredExposure& ExposureStore::at(std::int64_t stamp_ns)
   return entry->second;
 }
 
-std::string ExposureStore::missingView(const StoredExposure& exposure) const
+std::string ExposureStore::missingView(const StoredExposure& exposure, const std::vector<std::string>& without) const
 {
   for (std::size_t i = 0; i < detectors_.size(); ++i)
   {
+    if (std::find(without.begin(), without.end(), detectors_[i]) != without.end())
+    {
+      continue;
+    }
     if (!exposure[i].image)
     {
       return detectors_[i] + "/image_raw has not arrived";

@@ -1,5 +1,6 @@
 #include "xray_tracking_registration/refinement_messages.h"
 
+#include <algorithm>
 #include <cmath>
 #include <stdexcept>
 
@@ -84,11 +85,19 @@ ProjectionGeometry geometryOf(const ProjectionGeometry& detector, const sensor_m
 }
 
 std::vector<RegistrationView> viewsOf(const StoredExposure& exposure, const TreatmentSetup& setup,
-                                      const tf2_ros::Buffer& tf_buffer)
+                                      const std::vector<std::string>& without, const tf2_ros::Buffer& tf_buffer)
 {
+  for (const std::string& name : without)
+  {
+    setup.detector(name);  // throws where there is none
+  }
   std::vector<RegistrationView> views;
   for (std::size_t i = 0; i < setup.detectors.size(); ++i)
   {
+    if (std::find(without.begin(), without.end(), setup.detectors[i].name()) != without.end())
+    {
+      continue;
+    }
     try
     {
       views.push_back(viewOf(setup.detectors[i], exposure[i], tf_buffer));
@@ -98,6 +107,8 @@ std::vector<RegistrationView> viewsOf(const StoredExposure& exposure, const Trea
       throw std::invalid_argument(setup.detectors[i].name() + ": " + error.what());
     }
   }
+  requireOption(views.size() >= 2, "the number of detectors to compare", views.size(),
+                "two or more; the request leaves out " + std::to_string(without.size()));
   return views;
 }
 
@@ -109,7 +120,7 @@ Search searchOf(const RefinementRequest& message)
   return wide ? Search::WIDE : Search::NEAR;
 }
 
-void applyRequest(const RefinementRequest& message, RegistrationRequest& request)
+void applyRequest(const RefinementRequest& message, const TreatmentSetup& setup, RegistrationRequest& request)
 {
   try
   {
@@ -129,11 +140,17 @@ void applyRequest(const RefinementRequest& message, RegistrationRequest& request
   {
     return;
   }
-  requireOption(message.regions.size() == request.views.size(), "the number of regions", message.regions.size(),
-                "none, or one for each of the " + std::to_string(request.views.size()) + " detectors");
-  for (std::size_t i = 0; i < request.views.size(); ++i)
+  requireOption(message.regions.size() == setup.detectors.size(), "the number of regions", message.regions.size(),
+                "none, or one for each of the " + std::to_string(setup.detectors.size()) + " detectors");
+  for (std::size_t i = 0; i < setup.detectors.size(); ++i)
   {
-    request.views[i].region = rectFromRegionMsg(message.regions[i]);
+    for (RegistrationView& view : request.views)
+    {
+      if (view.geometry.name() == setup.detectors[i].name())
+      {
+        view.region = rectFromRegionMsg(message.regions[i]);
+      }
+    }
   }
 }
 

@@ -2,8 +2,6 @@
 
 #include <cmath>
 #include <stdexcept>
-#include <utility>
-#include <vector>
 
 #include "xray_tracking_conversions/conversions.h"
 #include "xray_tracking_conversions/parameters.h"
@@ -14,44 +12,9 @@ namespace xray_tracking
 namespace
 {
 template <typename T>
-using Names = std::vector<std::pair<std::string, T>>;
-
-const Names<Optimiser> kOptimisers = { { "gauss_newton", Optimiser::GAUSS_NEWTON }, { "bobyqa", Optimiser::BOBYQA } };
-
-template <typename T>
-std::string nameOf(const Names<T>& names, T value)
-{
-  for (const auto& [name, named] : names)
-  {
-    if (named == value)
-    {
-      return name;
-    }
-  }
-  throw std::logic_error("a value without a name");
-}
-
-template <typename T>
 void read(ParameterReader& reader, const std::string& key, T& value)
 {
   value = reader.read(key, value);
-}
-
-template <typename T>
-void readNamed(ParameterReader& reader, const std::string& key, const Names<T>& names, T& value)
-{
-  const std::string text = reader.read(key, nameOf(names, value));
-  std::string known;
-  for (const auto& [name, named] : names)
-  {
-    if (name == text)
-    {
-      value = named;
-      return;
-    }
-    known += (known.empty() ? "" : ", ") + name;
-  }
-  requireOption(false, key, text, "one of " + known);
 }
 
 void requireOneOf(const std::string& key, const std::string& value, const std::string& first, const std::string& second)
@@ -89,8 +52,6 @@ RegistrationParameters readRegistrationParameters(const ros::NodeHandle& pnh)
   read(reader, "mask/label", parameters.label);
   requireInRange("mask/label", parameters.label, 1, 32767);
   read(reader, "mask/file", parameters.mask_file);
-  readNamed(reader, "optimiser", kOptimisers, parameters.options.optimiser);
-  read(reader, "similarity", parameters.options.similarity);
   read(reader, "min_probability", parameters.options.min_probability);
   parameters.options.validate();
   readMetres(reader, "max_translation", parameters.max_translation_mm);

@@ -207,7 +207,7 @@ RegistrationRos::RefinementResult RegistrationRos::refine(const RefinementReques
       if (exposures != nullptr)
       {
         found = exposures->find(
-            stamp_ns, [this] { return server_->brokenOff(); }, reason);
+            stamp_ns, message.without, [this] { return server_->brokenOff(); }, reason);
       }
       if (!found)
       {
@@ -224,8 +224,8 @@ RegistrationRos::RefinementResult RegistrationRos::refine(const RefinementReques
       stamp_ns = found->stamp_ns;
       views = std::move(found->views);
     }
-    RegistrationRequest request = requestFor(views, searchOf(message), progress);
-    applyRequest(message, request);
+    RegistrationRequest request = requestFor(views, message, progress);
+    applyRequest(message, setup_, request);
     sequence_->setRegistration(std::move(registration));
     return resultMessage(sequence_->run(std::move(request), kept ? std::optional<std::int64_t>(stamp_ns) : std::nullopt,
                                         message.unverified != 0),
@@ -237,14 +237,14 @@ RegistrationRos::RefinementResult RegistrationRos::refine(const RefinementReques
   }
 }
 
-RegistrationRequest RegistrationRos::requestFor(const StoredExposure& exposure, Search search,
+RegistrationRequest RegistrationRos::requestFor(const StoredExposure& exposure, const RefinementRequest& message,
                                                 const Progress& progress) const
 {
   RegistrationRequest request;
-  request.views = viewsOf(exposure, setup_, tf_buffer_);
+  request.views = viewsOf(exposure, setup_, message.without, tf_buffer_);
   request.intensity = setup_.intensity;
-  const bool wide = search == Search::WIDE;
-  request.search = search;
+  request.search = searchOf(message);
+  const bool wide = request.search == Search::WIDE;
   request.max_translation_mm = wide ? parameters_.search_max_translation_mm : parameters_.max_translation_mm;
   request.max_rotation_rad = wide ? parameters_.search_max_rotation_rad : parameters_.max_rotation_rad;
   request.time_budget = std::chrono::duration<double>(parameters_.time_budget_s);

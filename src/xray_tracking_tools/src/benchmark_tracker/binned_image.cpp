@@ -5,25 +5,10 @@
 #include <Eigen/Geometry>
 #include <opencv2/imgproc.hpp>
 
+#include "xray_tracking_core/image/attenuation.h"
+
 namespace xray_tracking
 {
-namespace
-{
-/// Pixel values in the sense of the intensity model, CV_32FC1.
-cv::Mat attenuationOf(const cv::Mat& image, const IntensityModel& intensity)
-{
-  cv::Mat values;
-  image.convertTo(values, CV_32F);
-  if (intensity.kind == IntensityModel::Kind::COUNTS)
-  {
-    values = cv::max(values - intensity.offset, 1.0);
-    cv::log(values, values);
-    values = -values;
-  }
-  return values;
-}
-}  // namespace
-
 BinnedImage binned(const cv::Mat& image, const cv::Point& corner, int bin)
 {
   BinnedImage result{ {}, corner, bin };
@@ -36,7 +21,7 @@ cv::Mat sharpPart(const cv::Mat& image, const cv::Rect& part, const IntensityMod
 {
   constexpr int kBox = 17;
   cv::Mat slow;
-  cv::Mat values = attenuationOf(image(part), intensity);
+  cv::Mat values = attenuationImage(image(part), intensity);
   cv::GaussianBlur(values, values, cv::Size(), kSmoothing);
   cv::blur(values, slow, { kBox, kBox }, { -1, -1 }, cv::BORDER_REPLICATE);
   values -= slow;

@@ -4,20 +4,15 @@
 
 #include <opencv2/imgproc.hpp>
 
+#include "xray_tracking_core/image/attenuation.h"
+
 namespace xray_tracking
 {
 BenchmarkFrame makeFrame(const cv::Mat& raw, const BenchmarkView& view)
 {
   BenchmarkFrame frame;
   frame.raw = raw;
-  cv::Mat values;
-  raw(view.window).convertTo(values, CV_32F);
-  if (view.intensity.kind == IntensityModel::Kind::COUNTS)
-  {
-    values = cv::max(values - view.intensity.offset, 1.0);
-    cv::log(values, values);
-    values = -values;
-  }
+  cv::Mat values = attenuationImage(raw(view.window), view.intensity);
   // What is slow is not the region's, and moves the window's mean and deviation as it comes and goes.
   cv::Mat slow;
   cv::blur(values, slow, { 65, 65 });

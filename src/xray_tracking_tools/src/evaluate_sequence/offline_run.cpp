@@ -145,6 +145,10 @@ RefinementReply OfflineRun::registered(const RefinementRequest& request)
   registration.time_budget = std::chrono::duration<double>(kTimeBudget);
   for (std::size_t d = 0; d < views_.size(); ++d)
   {
+    if (request.without[d])
+    {
+      continue;
+    }
     if (!views_[d].image.fault.empty())
     {
       reply.text = setup_.detectors[d].name() + ": " + views_[d].image.fault;
