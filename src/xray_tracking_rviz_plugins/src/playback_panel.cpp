@@ -142,7 +142,12 @@ void PlaybackPanel::load(const rviz::Config& config)
 {
   rviz::Panel::load(config);
   QString player;
-  if (config.mapGetString("Player", &player) && !player.isEmpty() && player != player_)
+  if (!config.mapGetString("Player", &player) || player.isEmpty())
+  {
+    return;
+  }
+  player_ = player;
+  if (pauser_)
   {
     pauser_->shutdown();
     connectTo(player);

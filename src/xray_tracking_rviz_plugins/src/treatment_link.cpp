@@ -27,6 +27,7 @@ constexpr std::size_t kMostValues = 4000;  // 60 Hz
 constexpr double kDegrees = 180.0 / 3.14159265358979323846;
 /// A registration that is at another request is asked again for so long [ns].
 constexpr std::int64_t kBusy = 3 * kSecond;
+constexpr std::int64_t kHoldAgain = kSecond / 2;  ///< after which a hold that is not confirmed is asked for again [ns]
 const std::string kTrackedRegion = "/tracked_region";
 
 TreatmentLink::Charts emptyCharts()
@@ -358,6 +359,14 @@ void TreatmentLink::beat()
     }
     if (hold_asked_.value_or(false))
     {
+      // Until it is confirmed: motion estimation may only be starting.
+      if (!command(Command::HOLD).busy && now() - hold_tried_ > kHoldAgain)
+      {
+        hold_tried_ = now();
+        std_srvs::SetBool::Request request;
+        request.data = 1U;
+        hold_->call(request);
+      }
       return;
     }
   }
@@ -399,6 +408,7 @@ void TreatmentLink::hold(bool on)
   {
     const std::lock_guard<std::mutex> lock(mutex_);
     hold_asked_ = on;
+    hold_tried_ = now();
   }
   std_srvs::SetBool::Request request;
   request.data = static_cast<std::uint8_t>(on);

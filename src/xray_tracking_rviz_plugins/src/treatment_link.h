@@ -166,6 +166,7 @@ private:
   double max_displacement_ = 3.0, max_rotation_ = 3.0, max_sigma_ = 1.5;
   bool registration_ = false;
   std::optional<bool> hold_asked_;  ///< what was asked last and has not been confirmed by the gate
+  std::int64_t hold_tried_ = 0;     ///< monotonic clock [ns]
   int waiting_for_ = 0;             ///< answers of trackers
   std::string tracker_faults_;
   std::int64_t refine_began_ = 0;

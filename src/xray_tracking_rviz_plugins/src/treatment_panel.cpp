@@ -74,8 +74,7 @@ QString registrationText(const TreatmentView& view, std::int64_t now)
     return view.registration ? quiet("running, not asked") : coloured("not running", look::kQuiet);
   }
   const RefinementResult& result = view.refined->result;
-  const QString figures = "  " + QString::number(result.probability, 'f', 2) + " probable, similarity " +
-                          QString::number(result.similarity_after, 'f', 2) + ", " +
+  const QString figures = "  " + QString::number(result.probability, 'f', 2) + " probable, " +
                           QString::number(1e3 * result.time.toSec(), 'f', 0) + " ms";
   if (result.status == RefinementResult::SUCCESS)
   {
@@ -161,7 +160,7 @@ TreatmentPanel::TreatmentPanel(QWidget* parent)
   message_ = new QLabel(this);
   message_->setObjectName("quiet");
   message_->setWordWrap(true);
-  message_->setMinimumHeight(34);
+  message_->setFixedHeight(72);  // four lines: what it says must not move the buttons
   message_->setAlignment(Qt::AlignTop | Qt::AlignLeft);
   layout->addWidget(message_);
   connect(timer_, &QTimer::timeout, this, &TreatmentPanel::tick);
@@ -250,6 +249,7 @@ void TreatmentPanel::onInitialize()
           {
             record_->setChecked(recorder_->recording());
             record_->setText(recorder_->recording() ? "Stop recording" : "Record");
+            newest_ = kCommands;
             last_message_ = !recorder_->fault().isEmpty() ? recorder_->fault()
                             : recorder_->recording()      ? "recording into " + recorder_->file()
                                                           : "recorded " + recorder_->file();
@@ -344,7 +344,13 @@ void TreatmentPanel::showCommands(const TreatmentView& view)
   for (std::size_t i = 0; i < kCommands; ++i)
   {
     const CommandState& command = view.commands[i];
-    if (command.offered && !command.text.empty())
+    if (command.text != said_[i])
+    {
+      said_[i] = command.text;
+      newest_ = i;
+    }
+    // What is under way or has failed, and what was said last.
+    if (command.offered && !command.text.empty() && (command.busy || command.failed || newest_ == i))
     {
       lines << coloured(QString(kNames[i]) + ": " + QString::fromStdString(command.text), command.failed ? look::kBad
                                                                                           : command.busy
@@ -352,7 +358,7 @@ void TreatmentPanel::showCommands(const TreatmentView& view)
                                                                                               : look::kQuiet);
     }
   }
-  if (!last_message_.isEmpty())
+  if (!last_message_.isEmpty() && (newest_ == kCommands || recorder_->recording()))
   {
     lines << quiet(last_message_);
   }
@@ -389,6 +395,7 @@ void TreatmentPanel::confirmReset()
                               "You state that the patient IS at the setup's initial pose.",
                               QMessageBox::Ok | QMessageBox::Cancel, this);
   box->setAttribute(Qt::WA_DeleteOnClose);
+  box->setDefaultButton(QMessageBox::Cancel);
   connect(box, &QMessageBox::finished, this,
           [this](int button)
           {

@@ -57,6 +57,8 @@ private:
   QPushButton *hold_, *release_, *train_, *refine_, *reset_, *load_, *record_;
   BagRecorder* recorder_;
   QString ct_folder_;
-  QString last_message_;
+  QString last_message_;                     ///< of the recorder
+  std::array<std::string, kCommands> said_;  ///< of the commands
+  std::size_t newest_ = kCommands;           ///< which of them has said something last; their number: the recorder
 };
 }  // namespace xray_tracking

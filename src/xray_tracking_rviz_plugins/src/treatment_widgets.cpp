@@ -13,6 +13,7 @@ namespace xray_tracking
 namespace
 {
 constexpr double kDegrees = 180.0 / 3.14159265358979323846;
+constexpr std::int64_t kPause = 10000000000;  ///< of exposures, over which no line is drawn [ns]
 constexpr int kNameWidth = 96;
 constexpr int kValueWidth = 88;
 
@@ -271,7 +272,7 @@ void StripChart::paintEvent(QPaintEvent*)
     }
     const QPointF point(x(entry.time), bottom - scale * std::max(0.0, entry.value));
     // A pause is no line.
-    if (drawing && entry.time - last < 3000000000)
+    if (drawing && entry.time - last < kPause)
     {
       path.lineTo(point);
     }
@@ -291,7 +292,7 @@ void StripChart::paintEvent(QPaintEvent*)
   painter.drawText(rect().adjusted(6, 2, -6, -2), Qt::AlignLeft | Qt::AlignTop, name_);
   painter.setFont(sized(14, true));
   painter.setPen(look::kText);
-  if (latest && now_ - values_.entries().back().time < 3000000000)
+  if (latest && now_ - values_.entries().back().time < kPause)
   {
     painter.drawText(rect().adjusted(6, 1, -6, -2), Qt::AlignRight | Qt::AlignTop,
                      QString::number(*latest, 'f', decimals_) + (unit_.isEmpty() ? "" : " " + unit_));

@@ -5,6 +5,8 @@
 #include <limits>
 #include <thread>
 
+#include <std_msgs/Header.h>
+#include <std_srvs/SetBool.h>
 #include <xray_tracking_msgs/BeamGate.h>
 #include <xray_tracking_msgs/PatientMotion.h>
 #include <xray_tracking_msgs/RefinedPose.h>
@@ -139,7 +141,7 @@ TEST_F(TreatmentTest, ReleaseIsOfferedOnlyWhileTheBeamIsHeld)
   EXPECT_TRUE(hold->isEnabled());
 }
 
-// A hold that nobody confirms takes the heartbeat away, which holds the beam by its silence.
+// A hold that nobody confirms is asked for again, and takes the heartbeat away, which holds the beam by its silence.
 TEST_F(TreatmentTest, AnUnansweredHoldEndsTheHeartbeat)
 {
   std::atomic<int> beats{ 0 };
@@ -152,6 +154,18 @@ TEST_F(TreatmentTest, AnUnansweredHoldEndsTheHeartbeat)
   spin(0.5);
   beats = 0;
   spin(1.5);
+  EXPECT_EQ(beats, 0);
+  // Motion estimation that comes only now is asked, too.
+  bool held = false;
+  const boost::function<bool(std_srvs::SetBool::Request&, std_srvs::SetBool::Response&)> answer =
+      [&](std_srvs::SetBool::Request& request, std_srvs::SetBool::Response& response)
+  {
+    held = request.data != 0U;
+    response.success = 1U;
+    return true;
+  };
+  const ros::ServiceServer server = nh.advertiseService("motion_estimation/hold_beam", answer);
+  EXPECT_TRUE(spinUntil([&] { return held; }));
   EXPECT_EQ(beats, 0);
   gate_.say(false, BeamGate::HELD);
   EXPECT_TRUE(spinUntil([&] { return beats > 5; }));
