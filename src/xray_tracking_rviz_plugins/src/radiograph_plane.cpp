@@ -21,10 +21,16 @@ namespace
 {
 const Ogre::ColourValue kOutlineColour(0.55F, 0.65F, 0.75F, 0.9F);
 const Ogre::ColourValue kRayColour(1.0F, 0.83F, 0.35F, 0.8F);
-const Ogre::ColourValue kEdgeColour(1.0F, 0.83F, 0.35F, 0.22F);
+const Ogre::ColourValue kEdgeColour(1.0F, 0.83F, 0.35F, 0.3F);
 const Ogre::ColourValue kFieldColour(1.0F, 0.83F, 0.35F, 0.035F);
-constexpr float kLineWidth = 0.0025F;     // [m]
+constexpr float kLineWidth = 0.0012F;     // [m]
 constexpr float kSourceDiameter = 0.05F;  // [m]
+
+/// All of a line in one colour; setting it is what makes a line of rviz's transparent.
+void colourLine(rviz::BillboardLine& line, const Ogre::ColourValue& colour)
+{
+  line.setColor(colour.r, colour.g, colour.b, colour.a);
+}
 
 Ogre::MaterialPtr makeMaterial(const std::string& name)
 {
@@ -151,6 +157,9 @@ void RadiographPlane::setGeometry(const ProjectionGeometry& geometry)
   central_ray_->setLineWidth(kLineWidth);
   central_ray_->addPoint(Ogre::Vector3::ZERO, kRayColour);
   central_ray_->addPoint(onPanel(geometry, geometry.foot().x(), geometry.foot().y()), kRayColour);
+  colourLine(*outline_, kOutlineColour);
+  colourLine(*edges_, kEdgeColour);
+  colourLine(*central_ray_, kRayColour);
 }
 
 void RadiographPlane::setImage(const cv::Mat& grey)
