@@ -269,6 +269,12 @@ std::optional<ProjectionGeometry> DetectorPane::geometryOf(const RadiographFeed:
     fault = "no " + QString::fromStdString(detector()) + "/camera_info so far";
     return std::nullopt;
   }
+  const sensor_msgs::ImageConstPtr image = messages.images.newest();
+  if (image && (image->width != messages.camera_info->width || image->height != messages.camera_info->height))
+  {
+    fault = "the image has another size than its camera_info";
+    return std::nullopt;
+  }
   const std::string& frame = messages.camera_info->header.frame_id;
   try
   {
@@ -295,7 +301,7 @@ void DetectorPane::refresh(const Room& room, tf2_ros::Buffer& transforms,
 {
   if (asked_ && std::chrono::steady_clock::now() - asked_at_ > kTrainingTime)
   {
-    trainer_->cancel();
+    trainer_->cancelAfter(ros::WallDuration(static_cast<double>(kTrainingTime.count())));
   }
   const RadiographFeed::Messages messages = feed_->messages();
   region_ = messages.regions.newest();

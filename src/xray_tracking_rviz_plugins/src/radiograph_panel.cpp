@@ -26,7 +26,7 @@ using xray_tracking_msgs::RenderViews;
 
 constexpr int kRefreshPeriod = 33;                          // [ms]
 constexpr std::chrono::milliseconds kRenderingPeriod(100);  // at least
-constexpr std::chrono::seconds kRenderingTime(5);           // then it is given up
+const ros::WallDuration kRenderingTime(5.0);                // then it is given up
 constexpr std::chrono::milliseconds kAlignmentLife(600);    // of an alignment pose
 constexpr double kRenderingLife = 1.0;                      // behind the newest pose [s]
 constexpr std::uint32_t kRenderingSize = 256;
@@ -306,10 +306,7 @@ void RadiographPanel::askForRendering()
   const auto now = std::chrono::steady_clock::now();
   if (asked_)
   {
-    if (now - asked_at_ > kRenderingTime)
-    {
-      renderer_->cancel();
-    }
+    renderer_->cancelAfter(kRenderingTime);
     return;
   }
   if (overlay() == Overlay::NONE || now - asked_at_ < kRenderingPeriod || (!aligning() && poses_.empty()))

@@ -21,10 +21,16 @@ namespace
 {
 const Ogre::ColourValue kOutlineColour(0.55F, 0.65F, 0.75F, 0.9F);
 const Ogre::ColourValue kRayColour(1.0F, 0.83F, 0.35F, 0.8F);
-const Ogre::ColourValue kEdgeColour(1.0F, 0.83F, 0.35F, 0.22F);
+const Ogre::ColourValue kEdgeColour(1.0F, 0.83F, 0.35F, 0.3F);
 const Ogre::ColourValue kFieldColour(1.0F, 0.83F, 0.35F, 0.035F);
-constexpr float kLineWidth = 0.0025F;     // [m]
+constexpr float kLineWidth = 0.0012F;     // [m]
 constexpr float kSourceDiameter = 0.05F;  // [m]
+
+/// All of a line in one colour; setting it is what makes a line of rviz's transparent.
+void colourLine(rviz::BillboardLine& line, const Ogre::ColourValue& colour)
+{
+  line.setColor(colour.r, colour.g, colour.b, colour.a);
+}
 
 Ogre::MaterialPtr makeMaterial(const std::string& name)
 {
@@ -80,11 +86,11 @@ RadiographPlane::~RadiographPlane()
   source_.reset();
   scene_->destroyManualObject(plane_);
   scene_->destroyManualObject(field_);
-  Ogre::MaterialManager::getSingleton().remove(material_);
-  Ogre::MaterialManager::getSingleton().remove(field_material_);
-  if (texture_)
+  Ogre::MaterialManager::getSingleton().remove(material_->getName());
+  Ogre::MaterialManager::getSingleton().remove(field_material_->getName());
+  if (texture_unit_ != nullptr)
   {
-    Ogre::TextureManager::getSingleton().remove(texture_);
+    Ogre::TextureManager::getSingleton().remove(texture_->getName());
   }
   scene_->destroySceneNode(rays_node_);
   scene_->destroySceneNode(node_);
@@ -151,25 +157,28 @@ void RadiographPlane::setGeometry(const ProjectionGeometry& geometry)
   central_ray_->setLineWidth(kLineWidth);
   central_ray_->addPoint(Ogre::Vector3::ZERO, kRayColour);
   central_ray_->addPoint(onPanel(geometry, geometry.foot().x(), geometry.foot().y()), kRayColour);
+  colourLine(*outline_, kOutlineColour);
+  colourLine(*edges_, kEdgeColour);
+  colourLine(*central_ray_, kRayColour);
 }
 
 void RadiographPlane::setImage(const cv::Mat& grey)
 {
   const auto width = static_cast<std::uint32_t>(grey.cols), height = static_cast<std::uint32_t>(grey.rows);
-  if (!texture_ || texture_->getWidth() != width || texture_->getHeight() != height)
+  if (texture_unit_ == nullptr || texture_->getWidth() != width || texture_->getHeight() != height)
   {
     Ogre::Pass* pass = material_->getTechnique(0)->getPass(0);
     pass->removeAllTextureUnitStates();
-    if (texture_)
+    if (texture_unit_ != nullptr)
     {
-      Ogre::TextureManager::getSingleton().remove(texture_);
+      Ogre::TextureManager::getSingleton().remove(texture_->getName());
     }
     texture_ = Ogre::TextureManager::getSingleton().createManual(
         name_ + "_texture", Ogre::ResourceGroupManager::DEFAULT_RESOURCE_GROUP_NAME, Ogre::TEX_TYPE_2D, width, height,
         0, Ogre::PF_L8, Ogre::TU_DYNAMIC_WRITE_ONLY_DISCARDABLE);
-    Ogre::TextureUnitState* unit = pass->createTextureUnitState(texture_->getName());
-    unit->setTextureAddressingMode(Ogre::TextureUnitState::TAM_CLAMP);
-    unit->setTextureFiltering(Ogre::TFO_BILINEAR);
+    texture_unit_ = pass->createTextureUnitState(texture_->getName());
+    texture_unit_->setTextureAddressingMode(Ogre::TextureUnitState::TAM_CLAMP);
+    texture_unit_->setTextureFiltering(Ogre::TFO_BILINEAR);
     setOpacity(opacity_);
   }
   const cv::Mat tight = grey.isContinuous() ? grey : grey.clone();
@@ -182,9 +191,10 @@ void RadiographPlane::setOpacity(double opacity)
   const bool clear = opacity < 0.999;
   material_->setSceneBlending(clear ? Ogre::SBT_TRANSPARENT_ALPHA : Ogre::SBT_REPLACE);
   material_->setDepthWriteEnabled(!clear);
-  for (Ogre::TextureUnitState* unit : material_->getTechnique(0)->getPass(0)->getTextureUnitStates())
+  if (texture_unit_ != nullptr)
   {
-    unit->setAlphaOperation(Ogre::LBX_SOURCE1, Ogre::LBS_MANUAL, Ogre::LBS_CURRENT, static_cast<float>(opacity));
+    texture_unit_->setAlphaOperation(Ogre::LBX_SOURCE1, Ogre::LBS_MANUAL, Ogre::LBS_CURRENT,
+                                     static_cast<float>(opacity));
   }
 }
 

@@ -56,6 +56,7 @@ private:
   Ogre::MaterialPtr material_;
   Ogre::MaterialPtr field_material_;
   Ogre::TexturePtr texture_;
+  Ogre::TextureUnitState* texture_unit_ = nullptr;  ///< none before the first image
   double opacity_ = 1.0;
   std::unique_ptr<rviz::BillboardLine> outline_;
   std::unique_ptr<rviz::BillboardLine> edges_;
