@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <iomanip>
 #include <sstream>
 #include <stdexcept>
 #include <utility>
@@ -29,13 +30,31 @@ double seconds(std::int64_t nanoseconds)
 {
   return 1e-9 * static_cast<double>(nanoseconds);
 }
+
+/// Rounded for people.
+std::string rounded(double value, int decimals)
+{
+  std::ostringstream text;
+  text << std::fixed << std::setprecision(decimals) << value;
+  return text.str();
+}
+
+std::string millimetres(double value)
+{
+  return rounded(value, 2) + " mm";
+}
+
+std::string degrees(double radians)
+{
+  return rounded(radians * 180.0 / EIGEN_PI, 1) + " degrees";
+}
 }  // namespace
 
 const char* gateReasonName(GateReason reason)
 {
   static const char* const kNames[] = { "NONE",  "NO_EXPOSURE", "NOT_MEASURED", "INCONSISTENT",
                                         "STALE", "BAD_STAMP",   "UNCERTAIN",    "DISPLACED",
-                                        "JUMP",  "CONFIRMING",  "UNVERIFIED" };
+                                        "JUMP",  "CONFIRMING",  "UNVERIFIED",   "HELD" };
   return kNames[static_cast<std::size_t>(reason)];
 }
 
@@ -59,10 +78,11 @@ void BeamGateOptions::validate() const
   require(good_exposures >= 2, "good_exposures", good_exposures, "2 or more");
   require(jump_exposures >= good_exposures, "jump_exposures", jump_exposures, "good_exposures or more");
   verification.validate();
+  hold.validate();
 }
 
 BeamGate::BeamGate(const BeamGateOptions& options)
-  : options_(options), verification_(options.verification), intervals_(kIntervals)
+  : options_(options), verification_(options.verification), hold_(options.hold), intervals_(kIntervals)
 {
   options_.validate();
 }
@@ -120,8 +140,9 @@ BeamGate::Verdict BeamGate::judge(const GateExposure& exposure) const
   const double variance = axes.eigenvalues()[2];
   if (!(axes.eigenvalues()[0] >= -1e-9 * variance) || variance > options_.max_sigma * options_.max_sigma)
   {
-    return { GateReason::UNCERTAIN, compose("the displacement's standard deviation is ", std::sqrt(variance),
-                                            " mm, expected at most ", options_.max_sigma) };
+    return { GateReason::UNCERTAIN,
+             compose("the displacement's standard deviation is ", millimetres(std::sqrt(variance)),
+                     ", expected at most ", millimetres(options_.max_sigma)) };
   }
   if (!exposure.doubt.empty())
   {
@@ -139,8 +160,9 @@ BeamGate::Verdict BeamGate::judgeSpeed(const GateExposure& exposure) const
     const double distance = (exposure.displacement - last_place_->second).norm();
     if (distance > options_.max_speed * elapsed)
     {
-      return { GateReason::JUMP, compose("the target moved by ", distance, " mm, at ", distance / elapsed,
-                                         " mm/s, expected at most ", options_.max_speed) };
+      return { GateReason::JUMP,
+               compose("the target moved by ", millimetres(distance), ", at ", std::round(distance / elapsed),
+                       " mm/s, expected at most ", options_.max_speed) };
     }
   }
   return { GateReason::NONE, "" };
@@ -152,9 +174,10 @@ BeamGate::Verdict BeamGate::judgePlace() const
   if (distance > options_.max_displacement ||
       std::hypot(rotation_, std::sqrt(rotation_variance_)) > options_.max_rotation)
   {
-    return { GateReason::DISPLACED, compose("the target is displaced by ", distance, " mm and turned by ", rotation_,
-                                            " rad, known to ", std::sqrt(rotation_variance_), " rad, expected at most ",
-                                            options_.max_displacement, " mm and ", options_.max_rotation, " rad") };
+    return { GateReason::DISPLACED,
+             compose("the target is displaced by ", millimetres(distance), " and turned by ", degrees(rotation_),
+                     ", known to ", degrees(std::sqrt(rotation_variance_)), ", expected at most ",
+                     millimetres(options_.max_displacement), " and ", degrees(options_.max_rotation)) };
   }
   return { GateReason::NONE, "" };
 }
@@ -214,7 +237,7 @@ bool BeamGate::update(const GateExposure& exposure)
   // good otherwise is seen meanwhile.
   if (std::string fault = verification_.fault(); measured && verdict.reason != GateReason::STALE && !fault.empty())
   {
-    good_ = open() ? 0 : good_;
+    good_ = good() ? 0 : good_;
     return change({ GateReason::UNVERIFIED, std::move(fault) });
   }
   if (verdict.reason != GateReason::NONE)
@@ -225,7 +248,7 @@ bool BeamGate::update(const GateExposure& exposure)
   if (good_ >= needed)
   {
     jump_.reset();
-    return open() ? false : change({ GateReason::NONE, compose(good_, " good exposures in a row") });
+    return good() ? false : change({ GateReason::NONE, compose(good_, " good exposures in a row") });
   }
   return change({ jump_ ? GateReason::JUMP : GateReason::CONFIRMING,
                   jump_ ? compose("an earlier jump is unconfirmed until ", needed, " good exposures or a refinement")
@@ -234,13 +257,20 @@ bool BeamGate::update(const GateExposure& exposure)
 
 bool BeamGate::tick(std::int64_t now)
 {
-  if (!last_stamp_ || *age(now) <= maxAge())
+  const GateReason before = reason();
+  hold_.tick(now);
+  if (last_stamp_ && *age(now) > maxAge())
   {
-    return false;
+    good_ = 0;
+    change({ GateReason::STALE, compose("the latest exposure is ", seconds(*age(now)), " s old, expected at most ",
+                                        seconds(maxAge()), " s") });
   }
-  good_ = 0;
-  return change({ GateReason::STALE, compose("the latest exposure is ", seconds(*age(now)), " s old, expected at most ",
-                                             seconds(maxAge()), " s") });
+  return reason() != before;
+}
+
+std::string BeamGate::text() const
+{
+  return hold_.held() ? hold_.why() + "; otherwise: " + text_ : text_;
 }
 
 bool BeamGate::refined(std::int64_t stamp, const Eigen::Vector3d& correction, double rotation)
@@ -258,7 +288,7 @@ bool BeamGate::refined(std::int64_t stamp, const Eigen::Vector3d& correction, do
   }
   verification_.confirm(stamp);
   const Verdict verdict = judgePlace();
-  if (!open() || verdict.reason == GateReason::NONE)
+  if (!good() || verdict.reason == GateReason::NONE)
   {
     return reviewVerification();
   }
@@ -283,7 +313,7 @@ bool BeamGate::doubt(const std::string& why)
 bool BeamGate::reviewVerification()
 {
   // Other reasons stand until the next exposure.
-  if (!open() && reason_ != GateReason::UNVERIFIED)
+  if (!good() && reason_ != GateReason::UNVERIFIED)
   {
     return false;
   }
@@ -291,7 +321,7 @@ bool BeamGate::reviewVerification()
   {
     return change({ GateReason::UNVERIFIED, std::move(fault) });
   }
-  return open() ? false : change({ GateReason::CONFIRMING, "verified, but the next exposure has to be good, too" });
+  return good() ? false : change({ GateReason::CONFIRMING, "verified, but the next exposure has to be good, too" });
 }
 
 bool BeamGate::reset(const std::string& why)
@@ -311,6 +341,6 @@ bool BeamGate::reset(const std::string& why)
 bool BeamGate::change(Verdict verdict)
 {
   text_ = std::move(verdict.text);
-  return std::exchange(reason_, verdict.reason) != verdict.reason;
+  return std::exchange(reason_, verdict.reason) != verdict.reason && !hold_.held();
 }
 }  // namespace xray_tracking

@@ -25,6 +25,7 @@ EXPECTED = {  # node: what the message has to name
     'no_topic_name': ['detector a'],
     'no_time': ['gate/max_unverified_time', 'is 0', 'a number > 0 s'],
     'no_exposure': ['gate/max_unverified_exposures', '0.5', '>= 1'],
+    'no_silence': ['gate/operator_silence', 'is 0', 'a number > 0 s'],
     'no_statement': ['/no_statement/gate/initial_pose_verified', 'perhaps', 'true or false'],
     'nodelet_missing_setup_file': ['/nowhere/setup.yaml'],
 }

@@ -1,4 +1,4 @@
-#include "xray_tracking_motion_estimation/service_caller.h"
+#include "xray_tracking_conversions/service_caller.h"
 
 #include <atomic>
 #include <functional>

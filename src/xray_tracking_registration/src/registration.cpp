@@ -126,6 +126,16 @@ public:
     return result;
   }
 
+  void render(const ProjectionGeometry& geometry, const PixelGrid& pixels, const RigidTransform& room_from_patient,
+              cv::Mat& line_integrals) const
+  {
+    const Eigen::Vector3d centre = room_from_patient * bodies_->centre;
+    cv::Mat rest;
+    bodies_->target->render(geometry, pixels, room_from_patient, centre, line_integrals);
+    bodies_->rest->render(geometry, pixels, room_from_patient, centre, rest);
+    line_integrals += rest;
+  }
+
   AttenuationField::Statistics fieldStatistics() const
   {
     AttenuationField::Statistics sum = bodies_->target->fieldStatistics();
@@ -359,6 +369,12 @@ Registration::~Registration() = default;
 RegistrationResult Registration::run(const RegistrationRequest& request) const
 {
   return implementation_->run(request);
+}
+
+void Registration::render(const ProjectionGeometry& geometry, const PixelGrid& pixels,
+                          const RigidTransform& room_from_patient, cv::Mat& line_integrals) const
+{
+  implementation_->render(geometry, pixels, room_from_patient, line_integrals);
 }
 
 std::size_t Registration::memory() const

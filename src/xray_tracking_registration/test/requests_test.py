@@ -21,7 +21,7 @@ from registration_test_case import (DETECTORS, RegistrationTestCase, Sender, TIM
                                     shifted)
 from xray_tracking_msgs.msg import (RefinePoseAction, RefinePoseActionFeedback, RefinePoseGoal,  # noqa: E402
                                     RefinementRequest, RefinementResult)
-from xray_tracking_msgs.srv import LoadVolume, RefinePose  # noqa: E402
+from xray_tracking_msgs.srv import LoadVolume, RefinePose, RenderViews  # noqa: E402
 
 STAMP = rospy.Time(100)
 HALF_STAMP = rospy.Time(101)  # of an exposure that lacks a view
@@ -214,6 +214,53 @@ class RequestsTest(RegistrationTestCase):
                 self.assertFalse(answer.success)
                 self.assertIn(word, answer.message)
                 self.check_good(self.service(self.good()).result)
+
+    def test_render(self):
+        """The CT at the true pose looks like the exposure, and less so 5 mm aside; what is wrong is named."""
+        render = rospy.ServiceProxy(f"{NODE}/render", RenderViews)
+        infos = [self.exposure.camera_infos[name] for name in DETECTORS]
+
+        def attenuations(pose):
+            answer = render(pose, infos, 128)
+            self.assertTrue(answer.success, answer.message)
+            self.assertEqual(len(answer.views), len(DETECTORS))
+            return answer.views
+
+        def likeness(view, image):
+            rendered = np.frombuffer(view.line_integrals.data, np.float32).reshape(view.line_integrals.height, -1)
+            self.assertEqual(view.line_integrals.encoding, "32FC1")
+            self.assertEqual(max(rendered.shape), 128)
+            step = int(view.step)
+            self.assertEqual((view.first_x, view.first_y), (0.5 * (step - 1),) * 2)
+            counts = np.frombuffer(image.data, np.uint16).reshape(image.height, image.width).astype(float)
+            bins = counts.reshape(image.height // step, step, -1, step).mean((1, 3))
+            logs = -np.log(np.maximum(bins - 100.0, 1.0))
+            # What is fine: neighbours' differences, along rows.
+            return np.corrcoef(np.diff(rendered[20:-20, 20:-20]).ravel(), np.diff(logs[20:-20, 20:-20]).ravel())[0, 1]
+
+        views = attenuations(self.exposure.truth)
+        aside = attenuations(shifted(self.exposure.truth, 0.005, 0.0, 0.0))
+        for name, view, other in zip(DETECTORS, views, aside):
+            image = self.exposure.images[name]
+            self.assertGreater(likeness(view, image), 0.7)
+            self.assertGreater(likeness(view, image), likeness(other, image) + 0.1)
+
+        wrong = copy.deepcopy(self.exposure.truth)
+        wrong.position.x = float("nan")
+        far = copy.deepcopy(infos)
+        far[0].header.frame_id = "nowhere"
+        broken = copy.deepcopy(infos)
+        broken[1].K = [float("nan")] * 9
+        for pose, camera_infos, size, word in ((wrong, infos, 128, "position"), (self.exposure.truth, [], 128, "number"),
+                                               (self.exposure.truth, far, 128, "nowhere"),
+                                               (self.exposure.truth, broken, 128, "nan"),
+                                               (self.exposure.truth, infos, 0, "max_size is 0"),
+                                               (self.exposure.truth, infos, 5000, "max_size is 5000")):
+            answer = render(pose, camera_infos, size)
+            self.assertFalse(answer.success)
+            self.assertIn(word, answer.message)
+            self.assertFalse(answer.views)
+        attenuations(self.exposure.truth)
 
     def test_busy(self):
         results = []

@@ -9,6 +9,7 @@
 #include <Eigen/Core>
 #include <boost/circular_buffer.hpp>
 
+#include "xray_tracking_motion_estimation/beam_hold.h"
 #include "xray_tracking_motion_estimation/pose_verification.h"
 
 namespace xray_tracking
@@ -26,7 +27,8 @@ enum class GateReason : std::uint8_t
   DISPLACED = 7,     ///< the target is too far from where it should be, or turned too much
   JUMP = 8,          ///< the target moved faster than a body does, which nothing has confirmed so far
   CONFIRMING = 9,    ///< good, but not for long enough
-  UNVERIFIED = 10    ///< nothing has confirmed where the target is, or not for too long
+  UNVERIFIED = 10,   ///< nothing has confirmed where the target is, or not for too long
+  HELD = 11          ///< people hold it, see BeamHold: before all that is judged
 };
 
 /// As in the enumeration.
@@ -61,6 +63,7 @@ struct BeamGateOptions
   int jump_exposures = 30;
 
   PoseVerificationOptions verification;
+  BeamHoldOptions hold;
 
   /// @throws std::invalid_argument naming the key, its value and what was expected
   void validate() const;
@@ -92,7 +95,8 @@ struct GateExposure
 /// Whether the beam is to be held, and why. Advice of research software, see docs/safety.md.
 ///
 /// Fails closed: open only while the latest exposure is young, has a pose that is verified and within all bounds, and
-/// the ones before it were, too. No clock of its own: tick() has to be called often, so that silence closes it.
+/// the ones before it were, too, and nobody holds the beam. Exposures are judged all the same while it is held. No
+/// clock of its own: tick() has to be called often, so that silence closes it.
 class BeamGate
 {
 public:
@@ -120,9 +124,12 @@ public:
   /// Time starts again, or the reference is another: as at the start, but for the text.
   bool reset(const std::string& why);
 
-  bool open() const { return reason_ == GateReason::NONE; }
-  GateReason reason() const { return reason_; }
-  const std::string& text() const { return text_; }  ///< why, for people; never empty
+  /// What people say; reset() does not end it.
+  BeamHold& hold() { return hold_; }
+
+  bool open() const { return reason() == GateReason::NONE; }
+  GateReason reason() const { return hold_.held() ? GateReason::HELD : reason_; }
+  std::string text() const;  ///< why, for people, figures rounded; never empty
   const PoseVerification& verification() const { return verification_; }
 
   /// Of the latest exposure; zero if there is none.
@@ -145,6 +152,7 @@ private:
   /// DISPLACED or NONE.
   Verdict judgePlace() const;
   bool change(Verdict verdict);
+  bool good() const { return reason_ == GateReason::NONE; }
   /// After something about the verification has changed.
   bool reviewVerification();
   std::int64_t interval() const;
@@ -153,7 +161,8 @@ private:
 
   BeamGateOptions options_;
   PoseVerification verification_;
-  GateReason reason_ = GateReason::NO_EXPOSURE;
+  BeamHold hold_;
+  GateReason reason_ = GateReason::NO_EXPOSURE;  ///< by the exposures alone, as is the text
   std::string text_ = "no exposure so far";
 
   std::optional<std::int64_t> last_stamp_;  ///< of the latest exposure

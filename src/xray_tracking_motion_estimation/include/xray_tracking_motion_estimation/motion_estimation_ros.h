@@ -10,6 +10,8 @@
 #include <diagnostic_updater/diagnostic_updater.h>
 #include <ros/ros.h>
 #include <sensor_msgs/CameraInfo.h>
+#include <std_msgs/Header.h>
+#include <std_srvs/SetBool.h>
 #include <std_srvs/Trigger.h>
 #include <tf2_ros/buffer.h>
 #include <tf2_ros/transform_broadcaster.h>
@@ -19,6 +21,7 @@
 #include <xray_tracking_msgs/TrackedRegion.h>
 #include <xray_tracking_msgs/TrainRegion.h>
 
+#include "xray_tracking_conversions/service_caller.h"
 #include "xray_tracking_core/sequence/treatment_setup.h"
 #include "xray_tracking_motion_estimation/beam_gate_publisher.h"
 #include "xray_tracking_motion_estimation/exposure_assembler.h"
@@ -26,7 +29,6 @@
 #include "xray_tracking_motion_estimation/motion_estimation_parameters.h"
 #include "xray_tracking_motion_estimation/motion_monitor.h"
 #include "xray_tracking_motion_estimation/motion_report.h"
-#include "xray_tracking_motion_estimation/service_caller.h"
 
 namespace xray_tracking
 {
@@ -62,6 +64,8 @@ private:
   void trackedRegionCb(const TrackedRegion::ConstPtr& message, std::size_t view);
   bool refineCb(std_srvs::Trigger::Request& request, std_srvs::Trigger::Response& response);
   bool restartCb(std_srvs::Trigger::Request& request, std_srvs::Trigger::Response& response);
+  bool holdBeamCb(std_srvs::SetBool::Request& request, std_srvs::SetBool::Response& response);
+  void operatorPresentCb(const std_msgs::Header::ConstPtr& message);
   void watchdogCb(const ros::SteadyTimerEvent& event);
   void deadlineCb(const ros::SteadyTimerEvent& event);
   void reportCb(const ros::SteadyTimerEvent& event);
@@ -109,6 +113,8 @@ private:
   BeamGatePublisher gate_publisher_;
   ros::ServiceServer refine_server_;
   ros::ServiceServer restart_server_;
+  ros::ServiceServer hold_beam_server_;
+  ros::Subscriber operator_subscriber_;
   std::uint64_t asked_ = 0;  ///< the request that the registration is at
   std::unique_ptr<ServiceCaller<RefinePose>> registration_;
   diagnostic_updater::Updater updater_;

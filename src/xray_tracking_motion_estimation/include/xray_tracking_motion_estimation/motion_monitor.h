@@ -63,6 +63,8 @@ public:
   /// Where the patient is expected to be. @param stamp [ns]
   std::optional<PosePrediction> predict(std::int64_t stamp) const { return predictor_.predict(stamp); }
   const BeamGate& gate() const { return gate_; }
+  /// What people say to the gate: hold, release, that a panel is there.
+  BeamHold& beamHold() { return gate_.hold(); }
   const RefinementPolicy& refinement() const { return refinement_; }
 
 private:

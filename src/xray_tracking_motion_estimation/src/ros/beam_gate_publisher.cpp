@@ -23,6 +23,7 @@ static_assert(static_cast<int>(GateReason::DISPLACED) == Message::DISPLACED);
 static_assert(static_cast<int>(GateReason::JUMP) == Message::JUMP);
 static_assert(static_cast<int>(GateReason::CONFIRMING) == Message::CONFIRMING);
 static_assert(static_cast<int>(GateReason::UNVERIFIED) == Message::UNVERIFIED);
+static_assert(static_cast<int>(GateReason::HELD) == Message::HELD);
 
 /// Two messages may be late before the last one is void [s].
 constexpr double kValid = 3.0 * BeamGatePublisher::kPeriod;

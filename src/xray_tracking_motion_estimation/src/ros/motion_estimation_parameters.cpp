@@ -96,6 +96,7 @@ MotionEstimationParameters readMotionEstimationParameters(const ros::NodeHandle&
   gate.read("initial_pose_verified", monitor.gate.verification.initial_pose_verified);
   gate.read("max_unverified_time", monitor.gate.verification.max_unverified_time);
   gate.read("max_unverified_exposures", monitor.gate.verification.max_unverified_exposures);
+  gate.read("operator_silence", monitor.gate.hold.operator_silence);
 
   Group refinement(reader, "refinement/");
   std::string mode = "never";

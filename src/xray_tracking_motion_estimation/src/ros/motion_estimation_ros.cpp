@@ -86,6 +86,8 @@ MotionEstimationRos::~MotionEstimationRos()
   watchdog_.stop();
   refine_server_.shutdown();
   restart_server_.shutdown();
+  hold_beam_server_.shutdown();
+  operator_subscriber_.shutdown();
   for (View& view : views_)
   {
     view.camera_info_subscriber.shutdown();
@@ -117,6 +119,8 @@ void MotionEstimationRos::start()
   pose_publisher_ = nh_.advertise<geometry_msgs::PoseWithCovarianceStamped>("patient_pose", 100);
   prediction_publisher_ = nh_.advertise<geometry_msgs::PoseWithCovarianceStamped>("predicted_pose", 100);
   restart_server_ = pnh_.advertiseService("restart", &MotionEstimationRos::restartCb, this);
+  hold_beam_server_ = pnh_.advertiseService("hold_beam", &MotionEstimationRos::holdBeamCb, this);
+  operator_subscriber_ = nh_.subscribe("operator_present", 1, &MotionEstimationRos::operatorPresentCb, this);
   deadline_timer_ = nh_.createSteadyTimer(ros::WallDuration(1.0), &MotionEstimationRos::deadlineCb, this, true, false);
   if (parameters_.monitor.refinement.mode != RefinementMode::NEVER)
   {
@@ -396,6 +400,30 @@ bool MotionEstimationRos::restartCb(std_srvs::Trigger::Request&, std_srvs::Trigg
   response.success = 1;
   response.message = "the next exposures count from the setup's initial pose";
   return true;
+}
+
+bool MotionEstimationRos::holdBeamCb(std_srvs::SetBool::Request& request, std_srvs::SetBool::Response& response)
+{
+  if (request.data)
+  {
+    monitor_->beamHold().hold("held by an operator");
+  }
+  else
+  {
+    response.message = monitor_->beamHold().release(steadyNanoseconds());
+  }
+  publishGate();
+  response.success = static_cast<std::uint8_t>(response.message.empty());
+  if (response.message.empty())
+  {
+    response.message = request.data ? "the beam is held until it is released" : "the beam is not held any more";
+  }
+  return true;
+}
+
+void MotionEstimationRos::operatorPresentCb(const std_msgs::Header::ConstPtr&)
+{
+  monitor_->beamHold().operatorPresent(steadyNanoseconds());
 }
 
 void MotionEstimationRos::watchdogCb(const ros::SteadyTimerEvent&)

@@ -10,6 +10,7 @@
 
 #include "xray_tracking_core/geometry/projection_geometry.h"
 #include "xray_tracking_core/projection/attenuation_field.h"
+#include "xray_tracking_core/projection/pixel_grid.h"
 #include "xray_tracking_core/sequence/treatment_setup.h"
 #include "xray_tracking_core/volume/body_model.h"
 
@@ -203,6 +204,13 @@ public:
 
   /// Never throws for bad requests: they give INVALID and the reason. Const and thread safe; uses all cores.
   RegistrationResult run(const RegistrationRequest& request) const;
+
+  /// What a detector sees of the CT where all of it has one pose: line integrals of attenuation at the grid's points,
+  /// from volumes as fine as the grid. Const and thread safe; uses the caller's TBB arena.
+  /// @param line_integrals out, CV_32FC1, size.y() rows x size.x() columns
+  /// @throws std::invalid_argument if the pose is not rigid
+  void render(const ProjectionGeometry& geometry, const PixelGrid& pixels, const RigidTransform& room_from_patient,
+              cv::Mat& line_integrals) const;
 
   /// Bytes of volumes and attenuation fields held.
   std::size_t memory() const;

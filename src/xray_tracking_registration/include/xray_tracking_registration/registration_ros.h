@@ -23,6 +23,7 @@
 #include "xray_tracking_registration/refinement_server.h"
 #include "xray_tracking_registration/registration.h"
 #include "xray_tracking_registration/registration_parameters.h"
+#include "xray_tracking_registration/render_server.h"
 #include "xray_tracking_registration/sequence_registration.h"
 
 namespace xray_tracking
@@ -62,6 +63,9 @@ private:
   RegistrationRequest requestFor(const StoredExposure& exposure, const RefinementRequest& message,
                                  const Progress& progress) const;
 
+  /// The CT in use. @param why out: why there is none
+  std::shared_ptr<const Registration> registration(std::string& why);
+
   bool loadVolumeCb(xray_tracking_msgs::LoadVolume::Request& request,
                     xray_tracking_msgs::LoadVolume::Response& response);
   void diagnose(diagnostic_updater::DiagnosticStatusWrapper& status);
@@ -92,6 +96,7 @@ private:
   ros::Publisher refined_pose_publisher_;
   ros::ServiceServer load_service_;
   std::unique_ptr<RefinementServer> server_;
+  std::unique_ptr<RenderServer> render_server_;
   diagnostic_updater::Updater updater_;
   ros::SteadyTimer timer_;
   std::unique_ptr<ros::AsyncSpinner> spinner_;

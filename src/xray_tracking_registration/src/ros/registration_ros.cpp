@@ -46,6 +46,8 @@ RegistrationRos::RegistrationRos(const ros::NodeHandle& nh, const ros::NodeHandl
           exposures->wake();
         }
       });
+  render_server_ =
+      std::make_unique<RenderServer>(pnh_, tf_buffer_, [this](std::string& why) { return registration(why); });
   timer_ =
       nh_.createSteadyTimer(ros::WallDuration(1.0), [this](const ros::SteadyTimerEvent&) { updater_.force_update(); });
   spinner_ = std::make_unique<ros::AsyncSpinner>(kThreads, &queue_);
@@ -57,7 +59,18 @@ RegistrationRos::~RegistrationRos()
 {
   server_->stop();
   loader_.join();
+  render_server_.reset();
   spinner_->stop();
+}
+
+std::shared_ptr<const Registration> RegistrationRos::registration(std::string& why)
+{
+  const std::lock_guard<std::mutex> lock(mutex_);
+  if (!registration_)
+  {
+    why = volume_state_;
+  }
+  return registration_;
 }
 
 ExposureIntake* RegistrationRos::intake()

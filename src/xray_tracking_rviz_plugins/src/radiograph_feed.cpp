@@ -1,0 +1,91 @@
+#include "radiograph_feed.h"
+
+#include <algorithm>
+#include <iterator>
+
+namespace xray_tracking
+{
+ros::Time exposureToShow(const std::vector<ros::Time>& images, const std::vector<std::vector<ros::Time>>& others,
+                         double patience)
+{
+  for (auto image = images.rbegin(); image != images.rend() && (images.back() - *image).toSec() <= patience; ++image)
+  {
+    const bool complete = std::all_of(others.begin(), others.end(),
+                                      [&](const auto& stamps)
+                                      { return std::find(stamps.begin(), stamps.end(), *image) != stamps.end(); });
+    if (complete)
+    {
+      return *image;
+    }
+  }
+  return images.back();
+}
+
+RadiographFeed::RadiographFeed(const ros::NodeHandle& nh, const std::string& detector, ImageCame image_came)
+  : detector_(detector), image_came_(std::move(image_came)), nh_(nh)
+{
+  nh_.setCallbackQueue(&queue_);
+  const ros::TransportHints hints = ros::TransportHints().tcpNoDelay();
+  const boost::function<void(const sensor_msgs::ImageConstPtr&)> image = [this](const auto& message)
+  { takeImage(message); };
+  const boost::function<void(const sensor_msgs::CameraInfoConstPtr&)> info = [this](const auto& message)
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    messages_.camera_info = message;
+  };
+  const boost::function<void(const xray_tracking_msgs::TrackedRegionConstPtr&)> region = [this](const auto& message)
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    messages_.regions.add(message);
+  };
+  subscribers_ = { nh_.subscribe<sensor_msgs::Image>(detector + "/image_raw", 2, image, nullptr, hints),
+                   nh_.subscribe<sensor_msgs::CameraInfo>(detector + "/camera_info", 2, info, nullptr, hints),
+                   nh_.subscribe<xray_tracking_msgs::TrackedRegion>(detector + "/tracked_region", 10, region, nullptr,
+                                                                    hints) };
+  spinner_ = std::make_unique<ros::AsyncSpinner>(1, &queue_);
+  spinner_->start();
+}
+
+RadiographFeed::~RadiographFeed()
+{
+  spinner_->stop();
+}
+
+void RadiographFeed::takeImage(const sensor_msgs::ImageConstPtr& image)
+{
+  constexpr std::size_t kArrivals = 10;
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    messages_.images.add(image);
+    arrivals_.push_back(ros::SteadyTime::now());
+    if (arrivals_.size() > kArrivals)
+    {
+      arrivals_.pop_front();
+    }
+  }
+  if (image_came_)
+  {
+    image_came_(image);
+  }
+}
+
+RadiographFeed::Messages RadiographFeed::messages() const
+{
+  const std::lock_guard<std::mutex> lock(mutex_);
+  Messages messages = messages_;
+  if (!arrivals_.empty())
+  {
+    messages.image_age = (ros::SteadyTime::now() - arrivals_.back()).toSec();
+    const double span = (arrivals_.back() - arrivals_.front()).toSec();
+    messages.rate = span > 0.0 ? static_cast<double>(arrivals_.size() - 1) / span : 0.0;
+  }
+  return messages;
+}
+
+void RadiographFeed::clear()
+{
+  const std::lock_guard<std::mutex> lock(mutex_);
+  messages_ = Messages();
+  arrivals_.clear();
+}
+}  // namespace xray_tracking

@@ -1,0 +1,144 @@
+#pragma once
+
+#include <ctime>
+
+#include <algorithm>
+#include <chrono>
+#include <functional>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include <QApplication>
+#include <QDockWidget>
+
+#include <gtest/gtest.h>
+#include <ros/ros.h>
+#include <rviz/failed_display.h>
+#include <rviz/panel.h>
+#include <rviz/visualization_frame.h>
+#include <rviz/visualization_manager.h>
+
+namespace xray_tracking
+{
+/// Knows how long our own objects, and what is in our widgets, have kept the GUI thread with one event.
+class TimedApplication : public QApplication
+{
+public:
+  using QApplication::QApplication;
+
+  bool notify(QObject* receiver, QEvent* event) override
+  {
+    const double start = processorTime();
+    const auto wall_start = std::chrono::steady_clock::now();
+    bool ours = false;
+    for (const QObject* object = receiver; object != nullptr && !ours; object = object->parent())
+    {
+      ours = QByteArray(object->metaObject()->className()).startsWith("xray_tracking::");
+    }
+    const bool result = QApplication::notify(receiver, event);
+    if (ours)
+    {
+      longest = std::max(longest, processorTime() - start);
+      longest_wall =
+          std::max(longest_wall, std::chrono::duration<double>(std::chrono::steady_clock::now() - wall_start).count());
+      ++events;
+    }
+    return result;
+  }
+
+  /// Of this thread [s].
+  static double processorTime()
+  {
+    timespec now{};
+    clock_gettime(CLOCK_THREAD_CPUTIME_ID, &now);
+    return static_cast<double>(now.tv_sec) + 1e-9 * static_cast<double>(now.tv_nsec);
+  }
+
+  static inline double longest = 0.0;       ///< processor time of one event [s]
+  static inline double longest_wall = 0.0;  ///< [s]
+  static inline int events = 0;
+};
+
+/// RViz's own main window in this process, on the display that with_display makes. There is one for all tests of a
+/// program, as Ogre allows no second; each test gets it without displays and panels.
+class RvizWindow : public testing::Test
+{
+public:
+  /// main() of a test program.
+  static int runTests(int argc, char** argv, const std::string& node_name)
+  {
+    testing::InitGoogleTest(&argc, argv);
+    ros::init(argc, argv, node_name, ros::init_options::NoSigintHandler);
+    TimedApplication application(argc, argv);
+    rviz::VisualizationFrame frame;
+    frame.setSplashPath("");
+    frame.initialize(XRAY_TRACKING_TEST_FOLDER "/empty.rviz");
+    frame.resize(1500, 900);
+    frame.show();
+    frame_ = &frame;
+    manager_ = frame.getManager();
+    spin(0.2);
+    return RUN_ALL_TESTS();
+  }
+
+protected:
+  void TearDown() override
+  {
+    spin(0.1);  // rviz's property tree has events for what is to go
+    manager_->removeAllDisplays();
+    for (QDockWidget* dock : docks_)
+    {
+      delete dock;
+    }
+    docks_.clear();
+    spin(0.1);
+  }
+
+  /// Lets the window live until the condition holds. @return whether it did in time [s]
+  static bool spinUntil(const std::function<bool()>& condition, double seconds = 10.0)
+  {
+    const auto end = std::chrono::steady_clock::now() + std::chrono::duration<double>(seconds);
+    while (!condition())
+    {
+      if (std::chrono::steady_clock::now() > end)
+      {
+        return false;
+      }
+      QApplication::processEvents(QEventLoop::AllEvents, 10);
+      ros::WallDuration(0.002).sleep();
+    }
+    return true;
+  }
+
+  /// Lets the window live for so long. [s]
+  static void spin(double seconds)
+  {
+    spinUntil([] { return false; }, seconds);
+  }
+
+  static rviz::Display* addDisplay(const std::string& class_id)
+  {
+    return manager_->createDisplay(QString::fromStdString(class_id), QString::fromStdString(class_id), true);
+  }
+
+  /// @return none if the class could not be loaded
+  rviz::Panel* addPanel(const std::string& class_id, Qt::DockWidgetArea area = Qt::RightDockWidgetArea)
+  {
+    QDockWidget* dock =
+        frame_->addPanelByName(QString::fromStdString(class_id), QString::fromStdString(class_id), area);
+    if (dock == nullptr)
+    {
+      return nullptr;
+    }
+    docks_.push_back(dock);
+    return qobject_cast<rviz::Panel*>(dock->widget());
+  }
+
+  static inline rviz::VisualizationFrame* frame_ = nullptr;
+  static inline rviz::VisualizationManager* manager_ = nullptr;
+
+private:
+  std::vector<QDockWidget*> docks_;
+};
+}  // namespace xray_tracking
