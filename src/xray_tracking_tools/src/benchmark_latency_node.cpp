@@ -143,11 +143,12 @@ private:
           return "nobody subscribes to " + publisher->getTopic();
         }
       }
-      listeners[detector.region_topic] = { nh_.resolveName("motion_estimation") };
+      auto& of_infos = listeners[detector.info_publisher.getTopic()];
+      of_infos = listeners[detector.region_topic] = { nh_.resolveName("motion_estimation") };
       if (registers_)
       {
-        listeners[detector.image_publisher.getTopic()] =
-            listeners[detector.info_publisher.getTopic()] = { nh_.resolveName("registration") };
+        of_infos.push_back(nh_.resolveName("registration"));
+        listeners[detector.image_publisher.getTopic()] = { nh_.resolveName("registration") };
       }
     }
     const std::vector<std::string> missing = missingConnections(listeners);
