@@ -7,19 +7,14 @@
 #include <numeric>
 #include <stdexcept>
 #include <string>
+#include "several_processors.h"
+
 namespace xray_tracking
 {
 namespace
 {
 /// One logarithm, that of the product, does for as many 16 bit counts as have a product below the largest float.
 constexpr int kFactors = 7;
-
-// Compiled for several processors, of which the loader takes the best that there is.
-#if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__)
-#define FOR_SEVERAL_PROCESSORS __attribute__((target_clones("avx512f", "avx2", "default")))
-#else
-#define FOR_SEVERAL_PROCESSORS
-#endif
 
 FOR_SEVERAL_PROCESSORS void toFloats(const std::uint8_t* from, int count, float* to)
 {

@@ -32,9 +32,7 @@ struct RestPrior
 };
 
 /// Renders all views at a pose.
-/// @param near linearisation at a pose nearby, whose rendering of the rest is followed where that does; none: nothing
-/// is
-///        known
+/// @param near linearisation at a pose nearby, whose rendering of the rest is followed where that does; may be null
 Linearisation linearise(const std::vector<ViewLevel>& views, const Bodies& bodies, const PosePair& poses, Moving moving,
                         const Linearisation* near = nullptr);
 

@@ -5,12 +5,8 @@
 #include <cmath>
 #include <vector>
 
-// Compiled for several processors, of which the loader takes the best that there is.
-#if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__)
-#define FOR_SEVERAL_PROCESSORS __attribute__((target_clones("avx512f", "avx2", "default")))
-#else
-#define FOR_SEVERAL_PROCESSORS
-#endif
+#include "several_processors.h"
+
 #define INLINE inline __attribute__((always_inline))
 // How vectors would be passed to functions that are not inlined: here all are.
 #pragma GCC diagnostic ignored "-Wpsabi"
