@@ -426,5 +426,186 @@ TEST_F(CtFormsTest, RoundedPositionsAreEvenSlices)
   fs::remove(path("rounded/1.2.3_" + std::to_string(17 * 7 % 36) + ".dcm"));
   expectRefused(path("rounded"), { "a slice is missing" });
 }
+/// All slices in one file, last one first, with what a frame does not share in its own functional group.
+std::string enhancedCt(const CtVolume& volume)
+{
+  DicomElements file = ctSlice(volume, 0);
+  const auto group = [](int number, const DicomElements& elements)
+  { return std::make_pair(std::make_pair(number >> 16, number & 0xFFFF), std::make_pair("SQ", dicomItem(elements))); };
+  const auto taken = [&](int g, int e)
+  {
+    const auto element = *file.find({ g, e });
+    file.erase({ g, e });
+    return element;
+  };
+  file[{ 8, 0x0016 }].second = "1.2.840.10008.5.1.4.1.1.2.1";
+  const DicomElements shared{ group(0x00289110, { taken(0x28, 0x0030) }), group(0x00209116, { taken(0x20, 0x0037) }) };
+  file.erase({ 0x20, 0x0032 });
+  file.erase({ 0x28, 0x1052 });
+  file.erase({ 0x28, 0x1053 });
+  std::string frames, pixels;
+  for (int k = volume.grid.size.z() - 1; k >= 0; --k)
+  {
+    const DicomElements slice = ctSlice(volume, k);
+    frames += dicomItem({ group(0x00209113, { *slice.find({ 0x20, 0x0032 }) }),
+                          group(0x00289145, { *slice.find({ 0x28, 0x1052 }), *slice.find({ 0x28, 0x1053 }) }) });
+    pixels += slice.at({ 0x7FE0, 0x0010 }).second;
+  }
+  file[{ 0x28, 0x0008 }] = { "IS", std::to_string(volume.grid.size.z()) };
+  file[{ 0x5200, 0x9229 }] = { "SQ", dicomItem(shared) };
+  file[{ 0x5200, 0x9230 }] = { "SQ", frames };
+  file[{ 0x7FE0, 0x0010 }].second = pixels;
+  return dicomFile(file);
+}
+
+TEST_F(CtFormsTest, EnhancedMultiFrame)
+{
+  for (const Eigen::Matrix3d& direction : directions())
+  {
+    const CtVolume volume = sampled(direction);
+    fs::create_directories(path("folder"));
+    folder_.write("folder/enhanced.dcm", enhancedCt(volume));
+    expectRead("folder/enhanced.dcm");
+    expectRead("folder");
+  }
+  truncate(path("folder/enhanced.dcm"), 0.9);
+  expectRefused(path("folder/enhanced.dcm"), { "truncated" });
+}
+
+TEST_F(CtFormsTest, OrdinaryFolders)
+{
+  const auto isScout = [](DicomElements& slice, int)
+  {
+    slice[{ 8, 0x0008 }].second = "ORIGINAL\\PRIMARY\\LOCALIZER";
+    slice[{ 0x20, 0x0037 }].second = "1\\0\\0\\0\\0\\-1";
+  };
+  // A scout in the series itself and one of its own, a screenshot, a dose report, in sub-folders.
+  writeSeries(volume_, "export/series");
+  DicomElements scout = ctSlice(volume_, 3);
+  isScout(scout, 0);
+  folder_.write("export/series/scout.dcm", dicomFile(scout));
+  fs::create_directories(path("export/other"));
+  scout[{ 0x20, 0x000e }].second = "9.9";
+  folder_.write("export/other/scout.dcm", dicomFile(scout));
+  DicomElements screenshot = ctSlice(volume_, 3);
+  screenshot[{ 8, 0x0016 }].second = "1.2.840.10008.5.1.4.1.1.7";
+  screenshot.erase({ 0x20, 0x0032 });
+  screenshot.erase({ 0x20, 0x0037 });
+  folder_.write("export/series/screenshot.dcm", dicomFile(screenshot));
+  DicomElements report = ctSlice(volume_, 3);
+  report[{ 8, 0x0060 }].second = "SR";
+  folder_.write("export/other/report.dcm", dicomFile(report));
+  folder_.write("export/viewer.exe", "MZ");
+  folder_.write("export/series/README.TXT", "an export");
+  expectRead("export");
+
+  // Another series: a list, each line of which is the answer.
+  CtVolume moved = volume_;
+  moved.grid.patient_from_index.translation().y() += 50.0;
+  writeSeries(moved, "export/second", "5.6.7");
+  expectRefused(path("export"),
+                { "2 CT series", "ct_series: '1.2.3'", "ct_series: '5.6.7'", "\"description of 5.6.7\"", "36 slices",
+                  "axial", "1.5 x 2 x 2.5 mm", "acquisition 1", "2 CT localizer", "1 SR" });
+  expectRead("export", { "1.2.3" });
+  expectSameGrid(readCtVolume(path("export"), { "5.6.7" }).grid, moved.grid);
+  expectError<std::runtime_error>([&] { readCtVolume(path("export"), { "8" }); },
+                                  { "no series 8", "ct_series: '5.6.7'" });
+  expectError<std::runtime_error>([&] { readCtVolume(path("export"), { "1.2" }); }, { "no series 1.2" });
+}
+
+TEST_F(CtFormsTest, VolumesUnderOneUid)
+{
+  CtVolume second = volume_;
+  for (std::int16_t& hu : second.hu)
+  {
+    hu = static_cast<std::int16_t>(hu == 40 ? 45 : hu);
+  }
+  struct Case
+  {
+    std::pair<int, int> tag;
+    const char* vr;
+    const char* name;
+    const char* values[2];
+  };
+  for (const Case& one : { Case{ { 0x20, 0x0012 }, "IS", "AcquisitionNumber", { "1", "2" } },
+                           Case{ { 0x18, 0x1210 }, "SH", "ConvolutionKernel", { "B30f", "B70f" } },
+                           Case{ { 0x20, 0x0100 }, "IS", "TemporalPositionIdentifier", { "1", "2" } },
+                           Case{ { 8, 0x0032 }, "TM", "AcquisitionTime", { "101112.5", "101500" } } })
+  {
+    SCOPED_TRACE(one.name);
+    for (const int n : { 0, 1 })
+    {
+      writeSeries(n == 0 ? volume_ : second, n == 0 ? "one" : "two", "1.2.3",
+                  [&](DicomElements& slice, int) {
+                    slice[one.tag] = { one.vr, one.values[n] };
+                  });
+    }
+    fs::create_directories(path("both"));
+    fs::rename(path("one"), path("both/one"));
+    fs::rename(path("two"), path("both/two"));
+    const auto label = [&](int n) { return std::string("1.2.3 ") + one.name + "=" + one.values[n]; };
+    expectRefused(path("both"), { "2 CT series or volumes", "'" + label(0) + "'", "'" + label(1) + "'" });
+    EXPECT_EQ(readCtVolume(path("both"), { label(0) }).hu, volume_.hu);
+    EXPECT_EQ(readCtVolume(path("both"), { label(1) }).hu, second.hu);
+    expectError<std::runtime_error>([&] { readCtVolume(path("both"), { "1.2.3" }); }, { label(0), label(1) });
+    fs::remove_all(path("both"));
+  }
+  // Scanners number every turn: no reason to ask, nor to take a gap between turns for two volumes.
+  writeSeries(volume_, "turns", "1.2.3",
+              [](DicomElements& slice, int k) {
+                slice[{ 0x20, 0x0012 }].second = std::to_string(k / 4);
+              });
+  expectRead("turns");
+  fs::remove(path("turns/1.2.3_" + std::to_string(16 * 7 % 36) + ".dcm"));
+  expectRefused(path("turns"), { "a slice is missing" });
+}
+
+/// A spine of vertebrae that are nearly alike: which one has most bone hangs on little, but not on the file.
+TEST_F(CtFormsTest, TargetIsTheSameInEveryForm)
+{
+  const auto hu = [](const Eigen::Vector3d& point)
+  {
+    const double along = std::remainder(point.z(), 30.0);
+    const Eigen::Vector2d across = point.head<2>() - Eigen::Vector2d(5, 20);
+    return std::abs(along) < 11.0 && across.norm() < 18.0 + 0.002 * point.z() ? 700 : across.norm() < 60.0 ? 40 : -1000;
+  };
+  std::vector<Eigen::Vector3d> found;
+  for (const Eigen::Matrix3d& direction : allDirections())
+  {
+    if (direction.determinant() < 0.0)
+    {
+      continue;
+    }
+    CtVolume spine;
+    const Eigen::Vector3d extent = (direction.transpose() * Eigen::Vector3d(130, 130, 200)).cwiseAbs();
+    const bool oblique = direction.cwiseAbs().maxCoeff() < 0.99;
+    const Eigen::Vector3d spacing = (direction.transpose() * Eigen::Vector3d(2, 2, 2.5)).cwiseAbs();
+    if (oblique)
+    {
+      continue;
+    }
+    spine.grid.size = (extent.array() / spacing.array()).round().cast<int>();
+    spine.grid.patient_from_index.linear() = direction * spacing.asDiagonal();
+    spine.grid.patient_from_index.translation() = Eigen::Vector3d(0.1, 0.3, 100.7) - spine.grid.centre();
+    for (int k = 0; k < spine.grid.size.z(); ++k)
+    {
+      for (int j = 0; j < spine.grid.size.y(); ++j)
+      {
+        for (int i = 0; i < spine.grid.size.x(); ++i)
+        {
+          spine.hu.push_back(static_cast<std::int16_t>(hu(spine.grid.patient_from_index * Eigen::Vector3d(i, j, k))));
+        }
+      }
+    }
+    found.push_back(findBonyTarget(spine, 50.0));
+    // What files round by.
+    spine.grid.patient_from_index.translation() += Eigen::Vector3d(1e-5, -1e-5, 1e-5);
+    found.push_back(findBonyTarget(spine, 50.0));
+  }
+  for (const Eigen::Vector3d& target : found)
+  {
+    EXPECT_LT((target - found.front()).norm(), 1e-3) << target.transpose() << " and " << found.front().transpose();
+  }
+}
 }  // namespace
 }  // namespace xray_tracking

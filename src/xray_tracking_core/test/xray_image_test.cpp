@@ -49,12 +49,13 @@ std::string dicomImage(const cv::Mat& image)
   return dicomFile(dicomElements(image));
 }
 
-/// An entry of a TIFF directory; values of more than 4 bytes stand behind the directory.
+/// An entry of a TIFF directory.
 struct TiffEntry
 {
   int tag;
   int bytes;  ///< a value: 2 or 4
   std::vector<std::uint32_t> values;
+  std::uint32_t count = 0;  ///< of values elsewhere in the file, if not 0: then `values` has their place
 };
 
 /// One strip, without compression, written by hand.
@@ -86,12 +87,13 @@ std::string tiffFile(const std::vector<std::vector<TiffEntry>>& pages, const std
     {
       put(static_cast<std::uint32_t>(entry.tag), 2);
       put(entry.bytes == 2 ? 3 : 4, 2);
-      put(static_cast<std::uint32_t>(entry.values.size()), 4);
+      put(entry.count > 0 ? entry.count : static_cast<std::uint32_t>(entry.values.size()), 4);
+      const int bytes = entry.count > 0 ? 4 : entry.bytes;
       for (const std::uint32_t value : entry.values)
       {
-        put(value, entry.bytes);
+        put(value, bytes);
       }
-      file.append(4 - entry.bytes * entry.values.size(), '\0');
+      file.append(4 - bytes * entry.values.size(), '\0');
     }
     put(page + 1 < pages.size() ? static_cast<std::uint32_t>(end) : 0, 4);
   }
@@ -205,7 +207,7 @@ TEST(XrayImage, RejectsOthers)
 TEST(XrayImage, DicomAsTheStandardHasIt)
 {
   const TemporaryFolder folder;
-  const cv::Mat counts = ramp(CV_16UC1) / 16;  // 12 bits
+  const cv::Mat counts = cv::min(ramp(CV_16UC1) / 16, 4095);  // 12 bits
   cv::Mat shifted = 16 * counts + 7;
   const auto element = [](int group, int number, const std::string& vr, const std::string& value) {
     return [=](DicomElements& image) { image[{ group, number }] = { vr, value }; };
@@ -349,7 +351,7 @@ TEST(XrayImage, TiffAsItIsStored)
     }
   }
   // 12 bits without gaps; 6 columns are 9 bytes.
-  cv::Mat counts = ramp(CV_16UC1) / 16;
+  cv::Mat counts = cv::min(ramp(CV_16UC1) / 16, 4095);
   std::string packed;
   for (int n = 0; n < static_cast<int>(counts.total()); n += 2)
   {
@@ -396,7 +398,9 @@ TEST(XrayImage, TiffAsItIsStored)
   std::vector<TiffEntry> turned = tiffPage(16);
   turned.push_back({ 274, 2, { 3 } });
   expectRejected(tiffFile({ turned }, pixels), { "Orientation is 3" });
-  expectRejected(tiffFile({ tiffPage(8, 1, 3) }, pixels), { "PhotometricInterpretation is 3, a palette" });
+  std::vector<TiffEntry> palette = tiffPage(8, 1, 3);
+  palette.push_back({ 320, 2, { 8 }, 3 * 256 });
+  expectRejected(tiffFile({ palette }, std::string(2000, 'x')), { "PhotometricInterpretation is 3, a palette" });
   expectRejected(tiffFile({ tiffPage(64, 1) }, pixels), { "64 bit" });
   cv::Mat negative = ramp(CV_16SC1);
   negative.at<std::int16_t>(2, 2) = -7;
