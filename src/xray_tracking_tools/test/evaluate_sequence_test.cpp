@@ -9,8 +9,14 @@
 #include <vector>
 
 #include <gtest/gtest.h>
+#include <rosbag/bag.h>
+#include <rosbag/view.h>
+#include <sensor_msgs/CompressedImage.h>
+#include <sensor_msgs/Image.h>
+#include <opencv2/imgcodecs.hpp>
 
 #include "test_helpers.h"
+#include "xray_tracking_conversions/image_pixels.h"
 
 namespace xray_tracking
 {
@@ -75,6 +81,48 @@ TEST(EvaluateSequence, NamesWhatIsWrong)
   expectFailure(sequence + out + " --methods ,", "--methods is empty");
   expectFailure(sequence + out + " --methods registration", "no ct, which the method registration needs");
   EXPECT_FALSE(std::filesystem::exists(folder.file("out")));
+}
+
+/// As image_transport records it, with the detectors a few ms apart: the same exposures.
+TEST(EvaluateSequence, BagOfCompressedImagesThatAreNotQuiteAtOneTime)
+{
+  const TemporaryFolder folder;
+  writeTestSequence(folder);
+  ASSERT_EQ(0, run("sequence_to_bag " + folder.file("") + " " + folder.file("raw.bag")).status);
+  const auto writeLater = [&](const std::string& name, const ros::Duration& later)
+  {
+    const rosbag::Bag raw(folder.file("raw.bag"), rosbag::bagmode::Read);
+    rosbag::Bag bag(folder.file(name), rosbag::bagmode::Write);
+    for (const rosbag::MessageInstance& instance : rosbag::View(raw))
+    {
+      const auto image = instance.instantiate<sensor_msgs::Image>();
+      if (!image)
+      {
+        bag.write(instance.getTopic(), instance.getTime(), instance);
+        continue;
+      }
+      sensor_msgs::CompressedImage compressed;
+      compressed.header = image->header;
+      compressed.header.stamp += instance.getTopic().find("detector_b") != std::string::npos ? later : ros::Duration(0);
+      compressed.format = "mono16; png compressed ";
+      cv::imencode(".png", pixelsFromMsg(*image), compressed.data);
+      bag.write(instance.getTopic() + "/compressed", instance.getTime(), compressed);
+    }
+  };
+  writeLater("near.bag", ros::Duration(0.003));
+  writeLater("far.bag", ros::Duration(0.02));
+  const auto evaluate = [&](const std::string& name)
+  {
+    return run("evaluate_sequence --bag " + folder.file(name + ".bag") + " --setup " + folder.file("sequence.yaml") +
+               " --methods tracking --out " + folder.file(name))
+        .output;
+  };
+  evaluate("raw");
+  evaluate("near");
+  const std::string expected = contents(folder.file("raw/poses.csv"));
+  EXPECT_NE(expected, "");
+  EXPECT_EQ(contents(folder.file("near/poses.csv")), expected);
+  EXPECT_NE(evaluate("far").find("no exposure with an image_raw of every detector"), std::string::npos);
 }
 
 /// Images of 8 x 6 pixels have no region to track: that is said of every exposure, and all files are there.
