@@ -400,7 +400,7 @@ TEST_F(SharedDataTest, ThoraxSequences)
       const ProjectionGeometry& detector = sequence.setup.detectors[i];
       EXPECT_EQ(detector.imageSize(), Eigen::Vector2i(512, 512));
       EXPECT_NEAR(detector.sourceToDetector(), 3800.0, 0.01);  // directions of six digits
-      const cv::Mat image = readXrayImage(sequence.exposures.back().files[i], detector.imageSize());
+      const cv::Mat image = readXrayImage(sequence.exposures.back().files[i], detector, sequence.setup.intensity);
       EXPECT_GT(cv::mean(image)[0], sequence.setup.intensity.offset);
       // The region is the target's projection, rounded in its author's way.
       const cv::Rect& drawn = sequence.setup.regions.at(detector.name());

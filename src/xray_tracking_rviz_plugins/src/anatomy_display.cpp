@@ -230,7 +230,7 @@ void AnatomyDisplay::followRoom()
       update_nh_.getParamCached("detector_simulator/source", source);
     }
     phantom_ = source == "phantom" || setup_->ct_path.empty();
-    loader_->load({ phantom_, setup_->ct_path, setup_->ct_content, setup_->target_box });
+    loader_->load({ phantom_, setup_->ct_path, setup_->ct_content, setup_->target_box, setup_->ct_choice });
     wanted_ = false;
   }
   const std::string what = phantom_ ? "the neck phantom" : setup_->ct_path;

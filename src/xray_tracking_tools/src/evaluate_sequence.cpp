@@ -114,7 +114,7 @@ private:
     if (!ct_)
     {
       std::cerr << "reading " << setup_.ct_path << std::endl;
-      ct_ = readPatientCt(setup_.ct_path, setup_.ct_content);
+      ct_ = readPatientCt(setup_.ct_path, setup_.ct_content, setup_.ct_choice);
     }
     return *ct_;
   }
