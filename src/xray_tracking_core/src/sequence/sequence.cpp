@@ -239,10 +239,12 @@ Sequence loadSequence(const std::string& directory)
   Sequence sequence;
   sequence.setup = loadTreatmentSetup(path);
   const YamlField root = YamlField::fromFile(path);
-  sequence.exposures = readExposures(sequence.setup, folder / root.get("frames").text());
+  sequence.tables = { path, (folder / root.get("frames").text()).string() };
+  sequence.exposures = readExposures(sequence.setup, sequence.tables.back());
   if (const auto gold_standard = root.find("gold_standard"))
   {
-    sequence.gold_standard = readGoldStandard(sequence.exposures, folder / gold_standard->text());
+    sequence.tables.push_back((folder / gold_standard->text()).string());
+    sequence.gold_standard = readGoldStandard(sequence.exposures, sequence.tables.back());
   }
   return sequence;
 }
