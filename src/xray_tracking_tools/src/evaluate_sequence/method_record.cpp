@@ -95,7 +95,8 @@ void writeGoldStandard(const Evaluation& evaluation, const std::filesystem::path
     {
       table.add(value);
     }
-    for (const double value : Eigen::Quaterniond(pose.linear()).coeffs())
+    const Eigen::Quaterniond rotation(pose.linear());
+    for (const double value : { rotation.x(), rotation.y(), rotation.z(), rotation.w() })
     {
       table.add(value);
     }
