@@ -161,15 +161,19 @@ def _first_column(panels):
     return [axes for axes in panels if axes.get_subplotspec().is_first_col()]
 
 
+def _without_reference(values):
+    """The first frame's error is none, and has no place on a logarithmic axis."""
+    return numpy.concatenate([[numpy.nan], values[1:]])
+
+
 def errors_over_frames(methods, uncorrected):
     """Paper's figure 6: a panel a method, the uncorrected curve dotted behind."""
     figure, panels = _panels(len(methods), 2.2, sharex=True, sharey=True)
     _log_axis(panels[0], [uncorrected[1:]] + [method.tre[1:] for method in methods], least=0.01)
     for axes, method in zip(panels, methods):
-        # The reference's error of 0 has no place on a logarithmic axis.
-        frames, values = _thinned(numpy.where(uncorrected > 0.0, uncorrected, numpy.nan))
+        frames, values = _thinned(_without_reference(uncorrected))
         axes.plot(frames, values, color=COLOURS['uncorrected'], linestyle=':', label='uncorrected')
-        frames, values = _thinned(numpy.where(method.tre > 0.0, method.tre, numpy.nan))
+        frames, values = _thinned(_without_reference(method.tre))
         marker = {'marker': 'o', 'markersize': 2.6} if len(frames) <= 60 else {}
         axes.plot(frames, values, color=colour_of(method.name), **marker)
         missing = [k for k, status in enumerate(method.status) if status != 'ok']
