@@ -146,5 +146,9 @@ def one_sequence(results, number):
         parts += report.without_gold(results, number)
     gallery = pictures.gallery(results, 'worst') if results.has_gold else pictures.gallery(results, 'last')
     if gallery:
-        parts += [gallery]
+        what = 'Worst' if results.has_gold else 'Last'
+        _, run = pictures.best_run(results)
+        parts += [gallery, html.paragraph(
+            f'{what} frame by {figures.line_label(run["pictures_of"])}. {report.pictures_legend(results)}',
+            class_='caption')]
     return parts

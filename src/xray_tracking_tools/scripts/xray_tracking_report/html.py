@@ -38,9 +38,10 @@ def figure(svg, number, caption):
 def table(head, rows, number='', caption='', quiet=()):
     """Cells that are numbers or dashes are aligned to the right. quiet: indices of rows that are somebody else's."""
     numeric = [all(_is_number(row[i]) for row in rows) and bool(rows) for i in range(len(head))]
+    # Not a caption element: on a narrow screen that would scroll away with the table.
     text = Markup('<div class="scroll"><table>')
     if number:
-        text += Markup('<caption><b>') + escape(number) + Markup('</b> ') + escape(caption) + Markup('</caption>')
+        text = Markup('<p class="caption"><b>') + escape(number) + Markup('</b> ') + escape(caption) + Markup('</p>') + text
     if any(head):
         text += Markup('<thead><tr>') + Markup('').join(
             element('th', title, class_='n' if is_number else '') for title, is_number in zip(head, numeric))

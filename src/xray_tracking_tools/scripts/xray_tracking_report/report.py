@@ -276,13 +276,17 @@ def radiographs(results, number):
     if not gallery:
         return []
     _, run = pictures.best_run(results)
+    return [html.heading('Radiographs'), gallery, html.paragraph(
+        Markup('<b>') + number('Figure') + Markup('</b> ') +
+        f'First, middle, last and worst frame by {figures.line_label(run["pictures_of"])}. {pictures_legend(results)}',
+        class_='caption')]
+
+
+def pictures_legend(results):
     legend = ('Dashed white: tracked region; green: target box at the estimated pose; orange: edges of the target’s '
               'digitally reconstructed radiograph at that pose')
     legend += '; dotted pink: target box at the true pose.' if results.gold is not None else '.'
-    return [html.heading('Radiographs'), gallery,
-            html.paragraph(Markup('<b>') + number('Figure') + Markup('</b> ') +
-                           f'First, middle, last and worst frame by {figures.line_label(run["pictures_of"])}. ' + legend,
-                           style='font: 13px/1.45 Arial, sans-serif')]
+    return legend
 
 
 def provenance(results, number):
@@ -307,7 +311,7 @@ def provenance(results, number):
         rows.append([detector['name'].replace('_', ' '),
                      f'{columns} × {rows_of} px of {detector["pixel_pitch_mm"][0]:g} × '
                      f'{detector["pixel_pitch_mm"][1]:g} mm, source at '
-                     f'({", ".join(f"{v:.0f}" for v in detector["source_mm"])}) mm, region of '
+                     f'({", ".join(f"{round(v):d}" for v in detector["source_mm"])}) mm, region of '
                      f'{detector["region"][2]} × {detector["region"][3]} px'])
     rows += [[key, ', '.join(map(str, value)) if isinstance(value, list) else value]
              for key, value in run['settings'].items()]
