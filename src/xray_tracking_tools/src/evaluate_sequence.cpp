@@ -207,10 +207,10 @@ Method makeMethod(const std::string& name, const TreatmentSetup& setup, CtModels
 
 /// @param times whether the result has them, too
 MethodResult runMethod(const std::string& name, const ExposureSource& source, CtModels& models, bool times,
-                       MethodRecord& record, std::vector<std::string>& problems)
+                       RecordWriter& records, std::vector<std::string>& problems)
 {
   MethodResult result;
-  result.method = record.method = name;
+  result.method = name;
   const Method method = makeMethod(name, source.setup, models);
   Progress progress(name);
   for (std::size_t k = 0; k < source.stamps_ns.size(); ++k)
@@ -231,7 +231,7 @@ MethodResult runMethod(const std::string& name, const ExposureSource& source, Ct
     {
       problems.push_back("frame " + std::to_string(k) + " of " + name + " lost: " + answer.record.reason);
     }
-    record.exposures.push_back(std::move(answer.record));
+    records.add(k, source.stamps_ns[k], name, answer.record);
     progress(k + 1, source.stamps_ns.size());
   }
   return result;
@@ -280,22 +280,27 @@ int evaluateSequence(const po::variables_map& arguments)
   evaluation.stamps_ns = source.stamps_ns;
   evaluation.gold_standard = source.gold_standard;
   evaluation.target_box = source.setup.target_box;
-  CtModels models(source.setup);
-  std::vector<std::string> problems;
-  std::vector<MethodRecord> records(methods.size());
-  for (std::size_t m = 0; m < methods.size(); ++m)
-  {
-    evaluation.methods.push_back(
-        runMethod(methods[m], source, models, arguments.count("times") != 0, records[m], problems));
-  }
   const std::string out = arguments["out"].as<std::string>();
-  writeEvaluation(evaluation, out);
+  std::filesystem::create_directories(out);
+  for (const char* name : { "run.json", "report.html" })
+  {
+    std::filesystem::remove(std::filesystem::path(out) / name);  // of an earlier run: the last that are written
+  }
   std::vector<std::string> detectors;
   for (const ProjectionGeometry& detector : source.setup.detectors)
   {
     detectors.push_back(detector.name());
   }
-  writeRecords(evaluation, records, detectors, out);
+  RecordWriter records(out, detectors);
+  CtModels models(source.setup);
+  std::vector<std::string> problems;
+  for (const std::string& method : methods)
+  {
+    evaluation.methods.push_back(runMethod(method, source, models, arguments.count("times") != 0, records, problems));
+  }
+  records.close();
+  writeEvaluation(evaluation, out);
+  writeGoldStandard(evaluation, out);
   nlohmann::json run = describeRun(source, methods);
   const auto pictured = std::find_if(kPictured.begin(), kPictured.end(),
                                      [&methods](const std::string& method)

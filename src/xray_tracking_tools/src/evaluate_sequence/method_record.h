@@ -1,6 +1,8 @@
 #pragma once
 
+#include <cstdint>
 #include <limits>
+#include <memory>
 #include <optional>
 #include <string>
 #include <vector>
@@ -11,6 +13,8 @@
 
 namespace xray_tracking
 {
+class CsvTable;
+
 /// What a method says of an exposure, its pose apart. Empty or not a number where it does not say it.
 struct ExposureRecord
 {
@@ -28,16 +32,26 @@ struct ExposureRecord
   double registration_cpu_s = std::numeric_limits<double>::quiet_NaN();
 };
 
-/// Of all exposures of one method.
-struct MethodRecord
+/// Writes what methods say of exposures as they say it, so that a long recording takes no memory: exposures.csv,
+/// views.csv and times.csv (docs/evaluation.md, "Files").
+class RecordWriter
 {
-  std::string method;
-  std::vector<ExposureRecord> exposures;
+public:
+  /// @param detectors names, in the order of the views
+  /// @throws std::runtime_error naming a file that cannot be written, as all others do
+  RecordWriter(const std::string& folder, const std::vector<std::string>& detectors);
+  ~RecordWriter();
+
+  void add(std::size_t frame, std::int64_t stamp_ns, const std::string& method, const ExposureRecord& record);
+  void close();
+
+private:
+  std::vector<std::string> detectors_;
+  std::unique_ptr<CsvTable> exposures_;
+  std::unique_ptr<CsvTable> views_;
+  std::unique_ptr<CsvTable> times_;
 };
 
-/// Writes gold_standard.csv (if there is one), exposures.csv, views.csv and times.csv (docs/evaluation.md, "Files").
-/// @param detectors names, in the order of the views
-/// @throws std::runtime_error naming a file that cannot be written
-void writeRecords(const Evaluation& evaluation, const std::vector<MethodRecord>& records,
-                  const std::vector<std::string>& detectors, const std::string& folder);
+/// Writes gold_standard.csv, or removes that of an earlier evaluation if there is no gold standard.
+void writeGoldStandard(const Evaluation& evaluation, const std::string& folder);
 }  // namespace xray_tracking

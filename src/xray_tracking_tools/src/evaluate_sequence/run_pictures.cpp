@@ -17,7 +17,7 @@ namespace xray_tracking
 namespace
 {
 constexpr int kPictureSize = 420;           // columns, of what a page shows well
-constexpr double kAround = 0.35;  // of the target's size, on every side
+constexpr double kAround = 0.35;            // of the target's size, on every side
 const cv::Scalar kEdge(30, 170, 255, 255);  // BGRA
 
 /// Frames by what they are shown for.
