@@ -136,10 +136,13 @@ ExposureSource sequenceSource(const std::string& folder)
   const auto sequence = std::make_shared<const Sequence>(loadSequence(folder));
   ExposureSource source;
   source.name = std::filesystem::canonical(folder).stem().string();
+  source.path = folder;
   source.setup = sequence->setup;
+  source.inputs = { { "tables", sequence->tables }, { "images", {} } };
   for (const Exposure& exposure : sequence->exposures)
   {
     source.stamps_ns.push_back(exposure.stamp_ns);
+    source.inputs.back().files.insert(source.inputs.back().files.end(), exposure.files.begin(), exposure.files.end());
   }
   for (const StampedPose& pose : sequence->gold_standard)
   {
@@ -162,7 +165,9 @@ ExposureSource bagSource(const std::string& bag_path, const std::string& setup_p
 {
   ExposureSource source;
   source.name = std::filesystem::path(bag_path).stem().string();
+  source.path = bag_path;
   source.setup = loadTreatmentSetup(setup_path);
+  source.inputs = { { "tables", { setup_path } }, { "bag", { bag_path } } };
   try
   {
     const auto reader = std::make_shared<BagReader>(bag_path);

@@ -1,0 +1,168 @@
+"""The paper's findings (its section 3), judged on a cohort. A family is the methods that a finding speaks of."""
+import dataclasses
+
+import numpy
+from scipy import stats
+
+from . import statistics
+from .results import UNCORRECTED
+
+SIGNIFICANT = 0.05
+STABLE_MM = 0.1  # of error that late frames may have more than early ones: what no beam's margin tells from none
+OURS = ('this project', 'tracking', 'registration')
+PUBLISHED = ('as published', 'paper_tracking', 'paper_registration')
+COMBINED = 'tracking_and_registration'
+
+
+@dataclasses.dataclass
+class Finding:
+    claim: str
+    who: str
+    held: object       # True, False, or None: not judged
+    figures: str
+    p: float = float('nan')
+
+
+class Cohort:
+    """Frames of all sequences with a gold standard, method by method: pooled, the first frames left out."""
+
+    def __init__(self, all_results):
+        self.sequences = [results for results in all_results if results.has_gold]
+
+    def having(self, *methods):
+        return [results for results in self.sequences if all(m in results.methods for m in methods)]
+
+    def tre(self, method, sequences):
+        return numpy.concatenate([r.methods[method].judged_tre() for r in sequences]) if sequences else numpy.array([])
+
+    def pair(self, a, b):
+        """Comparison of a - b, and in how many of how many sequences a's mean is less."""
+        both = self.having(a, b)
+        comparison = statistics.paired(self.tre(a, both), self.tre(b, both))
+        less = sum(bool(statistics.paired(r.methods[a].judged_tre(), r.methods[b].judged_tre()).mean < 0.0)
+                   for r in both)
+        return comparison, less, len(both)
+
+
+def judge(all_results):
+    cohort = Cohort(all_results)
+    names = {name for results in cohort.sequences for name in results.methods}
+    found = [corrects(cohort, name) for name in sorted(names - {UNCORRECTED})]
+    for family in (PUBLISHED, OURS):
+        who, tracking, registration = family
+        found.append(beats(cohort, 'Tracking is better than registration alone', who, tracking, registration))
+    found.append(beats(cohort, 'Tracking + registration is better than registration alone', OURS[0], COMBINED, OURS[2]))
+    found.append(beats(cohort, 'Tracking + registration is better than registration alone',
+                       'against the published registration', COMBINED, PUBLISHED[2]))
+    found.append(alike(cohort, 'Tracking and tracking + registration do not differ', OURS[0], OURS[1], COMBINED))
+    for who, tracking, _ in (PUBLISHED, OURS):
+        found.append(drifts(cohort, who, tracking))
+    found.append(stable(cohort, OURS[0], COMBINED))
+    for family in (PUBLISHED, OURS):
+        found.append(worst_when_large(cohort, *family))
+    found.append(faster(cohort))
+    return found
+
+
+def _words(comparison, less, n, a, b):
+    return (f'{_name(a)} − {_name(b)}: {comparison.mean:+.3f} mm ({comparison.low:+.3f} to {comparison.high:+.3f}), '
+            f'n = {comparison.n}, d = {comparison.effect:+.2f}; smaller in {less} of {n} sequences').replace('-', '−')
+
+
+def _name(method):
+    return {'tracking_and_registration': 'tracking + registration', 'paper_tracking': 'tracking as published',
+            'paper_registration': 'registration as published'}.get(method, method)
+
+
+def corrects(cohort, method):
+    comparison, less, n = cohort.pair(method, UNCORRECTED)
+    claim = 'It corrects motion'
+    if comparison.n < 2:
+        return Finding(claim, _name(method), None, 'no frames')
+    return Finding(claim, _name(method), bool(comparison.mean < 0.0 and comparison.p < SIGNIFICANT),
+                   _words(comparison, less, n, method, UNCORRECTED), comparison.p)
+
+
+def beats(cohort, claim, who, a, b):
+    comparison, less, n = cohort.pair(a, b)
+    if comparison.n < 2:
+        return Finding(claim, who, None, f'needs {_name(a)} and {_name(b)}')
+    return Finding(claim, who, bool(comparison.mean < 0.0 and comparison.p < SIGNIFICANT),
+                   _words(comparison, less, n, a, b), comparison.p)
+
+
+def alike(cohort, claim, who, a, b):
+    comparison, less, n = cohort.pair(a, b)
+    if comparison.n < 2:
+        return Finding(claim, who, None, f'needs {_name(a)} and {_name(b)}')
+    return Finding(claim, who, bool(comparison.p >= SIGNIFICANT), _words(comparison, less, n, a, b), comparison.p)
+
+
+def _early_and_late(cohort, method):
+    """Errors in the first and the last third of every sequence's judged frames."""
+    early, late = [], []
+    for results in cohort.having(method):
+        third = results.methods[method].judged_tre()
+        length = max(1, len(third) // 3)
+        early.append(third[:length])
+        late.append(third[-length:])
+    known = [v[numpy.isfinite(v)] for v in (numpy.concatenate(early), numpy.concatenate(late))] if early else None
+    return known if known and min(map(len, known)) > 1 else None
+
+
+def drifts(cohort, who, method):
+    claim = 'Tracking drifts in late frames'
+    thirds = _early_and_late(cohort, method)
+    if thirds is None:
+        return Finding(claim, who, None, f'needs {_name(method)}')
+    early, late = thirds
+    p = float(stats.ttest_ind(late, early, equal_var=False, alternative='greater').pvalue)
+    return Finding(claim, who, p < SIGNIFICANT,
+                   f'mean of the last third {late.mean():.3f} mm, of the first {early.mean():.3f} mm', p)
+
+
+def stable(cohort, who, method):
+    claim = 'Tracking + registration stays stable in late frames'
+    thirds = _early_and_late(cohort, method)
+    if thirds is None:
+        return Finding(claim, who, None, f'needs {_name(method)}')
+    early, late = thirds
+    # Of the hypothesis that late frames are worse by STABLE_MM or more.
+    p = float(stats.ttest_ind(late - STABLE_MM, early, equal_var=False, alternative='less').pvalue)
+    return Finding(claim, who, p < SIGNIFICANT,
+                   f'mean of the last third {late.mean():.3f} mm, of the first {early.mean():.3f} mm; P is that of '
+                   f'a rise by {STABLE_MM} mm or more', p)
+
+
+def worst_when_large(cohort, who, tracking, registration):
+    claim = 'Registration alone is worst in frames with large motion'
+    both = cohort.having(tracking, registration)
+    if not both:
+        return Finding(claim, who, None, f'needs {_name(tracking)} and {_name(registration)}')
+    motion = cohort.tre(UNCORRECTED, both)
+    errors = {m: cohort.tre(m, both) for m in (tracking, registration)}
+    known = numpy.isfinite(errors[registration]) & numpy.isfinite(errors[tracking])
+    if known.sum() < 8:
+        return Finding(claim, who, None, 'fewer than 8 frames')
+    rank = stats.spearmanr(motion[known], errors[registration][known], alternative='greater')
+    large = known & (motion >= numpy.percentile(motion[known], 75))
+    of_large = {m: errors[m][large].mean() for m in errors}
+    held = rank.pvalue < SIGNIFICANT and of_large[registration] > of_large[tracking]
+    return Finding(claim, who, bool(held),
+                   f'rank correlation of its error with the motion {rank.statistic:+.2f}; in the quarter of frames with '
+                   f'the largest motion {of_large[registration]:.3f} mm, tracking {of_large[tracking]:.3f} mm'
+                   .replace('-', '−'), float(rank.pvalue))
+
+
+def faster(cohort):
+    claim = 'Registration is faster after tracking'
+    both = cohort.having(COMBINED, OURS[2])
+    after = [r.methods[COMBINED].registration_cpu[1:] for r in both]
+    alone = [r.methods[OURS[2]].registration_cpu[1:] for r in both]
+    comparison = statistics.paired(numpy.concatenate(after), numpy.concatenate(alone)) if both else None
+    if comparison is None or comparison.n < 2:
+        return Finding(claim, OURS[0], None, 'needs registration and tracking + registration, with times')
+    medians = [1e3 * numpy.nanmedian(numpy.concatenate(v)) for v in (after, alone)]
+    return Finding(claim, OURS[0], bool(comparison.mean < 0.0 and comparison.p < SIGNIFICANT),
+                   f'processor time of the registration, median: {medians[0]:.1f} ms after tracking, {medians[1]:.1f} ms '
+                   f'alone, n = {comparison.n}', comparison.p)
