@@ -21,6 +21,8 @@ constexpr int kChainAgainstTracks = 3;
 /// vertebra, 18 mm in a neck, about.
 constexpr double kMaxFactor = 2.0;
 
+constexpr double kDegrees = 180.0 / EIGEN_PI;
+
 constexpr double kSigmas = 3.0;
 /// What two registrations of the same target are apart by that their covariances do not know of: twice the p95 of the
 /// field's best figures [mm].
@@ -270,9 +272,13 @@ RefinementPolicy::Judgement RefinementPolicy::judge(const RefinementReply& reply
 RefinementPolicy::Judgement RefinementPolicy::judgeClaimed(const RefinementReply& reply, const RefinementSeed& claim)
 {
   Judgement judgement{ RefinementVerdict::ACCEPTED, fault(reply), std::nullopt };
-  if (judgement.reason.empty())
+  if (judgement.reason.empty() && !excess(reply, claim, 1.0).empty())
   {
-    judgement.reason = excess(reply, claim, 1.0);
+    const Twist correction = targetMotion(claim.room_from_patient, reply.room_from_patient, target_centre_);
+    judgement.reason =
+        compose("the registration finds the target ", correction.tail<3>().norm(), " mm and ",
+                kDegrees * correction.head<3>().norm(), " degrees from where it was stated to be, expected at most ",
+                options_.max_correction, " mm and ", kDegrees * options_.max_correction_rotation, " degrees");
   }
   if (!judgement.reason.empty())
   {

@@ -843,7 +843,7 @@ TEST_F(ClaimTest, ARefusedOneLeavesEverythingAsItWas)
   expectRefusal("the probability is 0.4");
   // Believed, but elsewhere than was stated: to the next vertebra it is not far.
   monitor->onReply(believed(claim(truth).id, truth + Eigen::Vector3d(5.1, 0.0, 0.0)), now);
-  expectRefusal("expected at most 5 mm");
+  expectRefusal("5.1 mm and 0 degrees from where it was stated");
   RefinementReply nonsense = believed(claim(truth).id, truth);
   nonsense.room_from_patient.translation().x() = std::nan("");
   monitor->onReply(nonsense, now);

@@ -4,6 +4,7 @@
 
 #include <OgreSceneManager.h>
 #include <OgreSceneNode.h>
+#include <interactive_markers/tools.h>
 #include <rviz/default_plugin/interactive_markers/interactive_marker.h>
 #include <rviz/display_context.h>
 #include <visualization_msgs/InteractiveMarker.h>
@@ -44,6 +45,7 @@ visualization_msgs::InteractiveMarker message()
     control.interaction_mode = InteractiveMarkerControl::ROTATE_AXIS;
     marker.controls.push_back(control);
   }
+  interactive_markers::autoComplete(marker);  // arrows and rings
   return marker;
 }
 }  // namespace
@@ -55,6 +57,7 @@ AlignmentMarker::AlignmentMarker(rviz::DisplayContext* context, Dragged dragged)
 {
   marker_->processMessage(message());
   marker_->setShowDescription(false);
+  marker_->setShowAxes(false);
   QObject::connect(marker_.get(), &rviz::InteractiveMarker::userFeedback, marker_.get(),
                    [this, dragged = std::move(dragged)](visualization_msgs::InteractiveMarkerFeedback& feedback)
                    {

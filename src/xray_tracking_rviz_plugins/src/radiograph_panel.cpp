@@ -28,7 +28,7 @@ constexpr int kRefreshPeriod = 33;                          // [ms]
 constexpr std::chrono::milliseconds kRenderingPeriod(100);  // at least
 constexpr std::chrono::milliseconds kAlignmentPeriod(50);   // the same while somebody aligns the CT by hand
 const ros::WallDuration kRenderingTime(5.0);                // then it is given up
-constexpr std::chrono::milliseconds kAlignmentLife(600);    // of an alignment pose
+constexpr std::chrono::milliseconds kAlignmentLife(1500);   // of an alignment pose
 constexpr double kRenderingLife = 1.0;                      // behind the newest pose [s]
 constexpr std::uint32_t kRenderingSize = 256;
 
@@ -58,6 +58,7 @@ std::shared_ptr<const Rendering> renderingOf(const xray_tracking_msgs::RenderedV
 
 RadiographPanel::RadiographPanel(QWidget* parent) : rviz::Panel(parent)
 {
+  setAttribute(Qt::WA_StyledBackground);
   setStyleSheet(look::styleSheet());
   auto* layout = new QVBoxLayout(this);
   layout->setContentsMargins(6, 6, 6, 6);
