@@ -22,7 +22,6 @@ AlignmentLink::AlignmentLink(const ros::NodeHandle& nh) : nh_(nh)
   nh_.setCallbackQueue(&queue_);
   pose_subscriber_ = nh_.subscribe("patient_pose", 1, &AlignmentLink::poseCb, this);
   pose_publisher_ = nh_.advertise<geometry_msgs::PoseStamped>("alignment_pose", 1);
-  client_ = std::make_unique<Client>(nh_, "motion_estimation/align", false);
   spinner_ = std::make_unique<ros::AsyncSpinner>(1, &queue_);
   spinner_->start();
 }
@@ -50,6 +49,15 @@ void AlignmentLink::poseCb(const geometry_msgs::PoseWithCovarianceStamped::Const
   pose_arrival_ = ros::SteadyTime::now();
 }
 
+bool AlignmentLink::offered()
+{
+  if (!client_ && ros::Time::isValid())
+  {
+    client_ = std::make_unique<Client>(nh_, "motion_estimation/align", false);
+  }
+  return client_ && client_->isServerConnected();
+}
+
 std::optional<RigidTransform> AlignmentLink::patientPose() const
 {
   const std::lock_guard<std::mutex> lock(mutex_);
@@ -71,6 +79,12 @@ void AlignmentLink::state(const RigidTransform& room_from_patient)
   goal.pose.header.stamp = ros::Time::now();
   goal.pose.header.frame_id = kRoomFrame;
   goal.pose.pose = poseMsgFromRigid(room_from_patient);
+  if (!offered())
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    answer_ = Answer{ false, "motion_estimation is not running", RigidTransform::Identity() };
+    return;
+  }
   std::uint64_t request = 0;
   {
     const std::lock_guard<std::mutex> lock(mutex_);

@@ -36,7 +36,7 @@ public:
   /// The pose on patient_pose, if one came lately.
   std::optional<RigidTransform> patientPose() const;
   /// Whether there is somebody who can be asked.
-  bool offered() const { return client_->isServerConnected(); }
+  bool offered();
 
   /// On alignment_pose, for those who show it.
   void show(const RigidTransform& room_from_patient);
@@ -65,7 +65,7 @@ private:
 
   ros::Subscriber pose_subscriber_;
   ros::Publisher pose_publisher_;
-  std::unique_ptr<Client> client_;
+  std::unique_ptr<Client> client_;  ///< none before there is time: it would wait for that
   std::unique_ptr<ros::AsyncSpinner> spinner_;
 };
 }  // namespace xray_tracking
