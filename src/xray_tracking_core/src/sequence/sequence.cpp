@@ -197,23 +197,28 @@ std::vector<Exposure> readExposures(const TreatmentSetup& setup, const std::file
   return exposures;
 }
 
-/// The poses at the exposures, within the tolerance [ns]; the table may hold further ones in between.
+/// The poses nearest to the exposures, within the tolerance [ns]; the table may hold further ones in between.
 std::vector<StampedPose> readGoldStandard(const std::vector<Exposure>& exposures, const std::filesystem::path& path,
                                           std::int64_t tolerance)
 {
+  const std::vector<StampedPose> table = loadPoses(path.string());
   std::vector<StampedPose> poses;
-  for (const StampedPose& pose : loadPoses(path.string()))
+  for (const Exposure& exposure : exposures)
   {
-    if (poses.size() < exposures.size() && std::abs(exposures[poses.size()].stamp_ns - pose.stamp_ns) <= tolerance)
+    const auto away = [&](const StampedPose& pose) { return std::abs(pose.stamp_ns - exposure.stamp_ns); };
+    auto nearest = std::lower_bound(table.begin(), table.end(), exposure.stamp_ns,
+                                    [](const StampedPose& pose, std::int64_t stamp) { return pose.stamp_ns < stamp; });
+    if (nearest != table.begin() && (nearest == table.end() || away(*std::prev(nearest)) < away(*nearest)))
     {
-      poses.push_back({ exposures[poses.size()].stamp_ns, pose.room_from_patient });
+      --nearest;
     }
-  }
-  if (poses.size() < exposures.size())
-  {
-    std::ostringstream seconds;
-    seconds << std::fixed << std::setprecision(9) << exposures[poses.size()].stamp_ns * 1e-9;
-    throw std::runtime_error(path.string() + ": no pose for the exposure at " + seconds.str() + " s");
+    if (nearest == table.end() || away(*nearest) > tolerance)
+    {
+      std::ostringstream seconds;
+      seconds << std::fixed << std::setprecision(9) << exposure.stamp_ns * 1e-9;
+      throw std::runtime_error(path.string() + ": no pose for the exposure at " + seconds.str() + " s");
+    }
+    poses.push_back({ exposure.stamp_ns, nearest->room_from_patient });
   }
   return poses;
 }
@@ -251,7 +256,7 @@ Sequence loadSequence(const std::string& directory)
   Sequence sequence;
   sequence.setup = loadTreatmentSetup(path);
   const YamlField root = YamlField::fromFile(path);
-  double tolerance_s = 0.005;
+  double tolerance_s = kPairingTolerance;
   if (const auto tolerance = root.find("pairing_tolerance"))
   {
     tolerance_s = tolerance->number<double>();

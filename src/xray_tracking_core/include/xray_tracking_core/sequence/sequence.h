@@ -10,6 +10,10 @@
 
 namespace xray_tracking
 {
+/// How far the stamps of one exposure may be apart where nothing else is said [s]: what a patient moves by in the
+/// meantime is below what tracking sees.
+constexpr double kPairingTolerance = 0.005;
+
 /// A pose with its time.
 struct StampedPose
 {
@@ -35,7 +39,7 @@ struct Sequence
 
 /// Reads `DIR/sequence.yaml` and the tables it names; images are only looked for, not read. Stamps must be plain
 /// decimal numbers ("1699999999.25"; no sign, no exponent) from 0 to less than 2^32 s; digits after the ninth are
-/// rounded. Rows of one exposure may differ by `pairing_tolerance` [s] of sequence.yaml (0 to 1, default 0.005, as
+/// rounded. Rows of one exposure may differ by `pairing_tolerance` [s] of sequence.yaml (0 to 1, default kPairingTolerance, as
 /// motion_estimation's parameter); the exposure's stamp is that of the first detector. The gold standard may have rows
 /// between the exposures, which are left out, and tables may have further columns.
 /// @throws std::runtime_error naming the file, the line and what is wrong: stamps that do not grow, a detector without
