@@ -60,7 +60,8 @@ def _svg(figure, description):
     text = re.sub(r'\bid="', f'id="{prefix}', text)
     text = text.replace('url(#', f'url(#{prefix}').replace('href="#', f'href="#{prefix}')
     text = text.replace("'DejaVu Sans'", "Arial, 'Liberation Sans', 'DejaVu Sans', sans-serif")
-    text = re.sub(r'(\d\.\d{3})\d+', r'\1', text)
+    # Thousandths of a point are enough for places; labels are left alone.
+    text = re.sub(r'\b(?:d|points|transform|x|y)="[^"]*"', lambda m: re.sub(r'(\.\d{3})\d+', r'\1', m[0]), text)
     text = re.sub(r'<svg ([^>]*?)(width="[^"]*"|height="[^"]*") ?([^>]*?)(width="[^"]*"|height="[^"]*")',
                   r'<svg \1\3', text, count=1)
     return text.replace('<svg ', f'<svg role="img" aria-label="{description}" ', 1)
@@ -273,9 +274,9 @@ def gate_words(reason):
 def curves(named, axis_label):
     """Curves over frames: (label, colour, values)."""
     figure, axes = pyplot.subplots(figsize=(WIDTH, 2.7))
-    _log_axis(axes, [values for _, _, values in named])
+    _log_axis(axes, [values[1:] for _, _, values in named])
     for label, colour, values in named:
-        axes.plot(*_thinned(values), color=colour, label=label)
+        axes.plot(*_thinned(_without_reference(values)), color=colour, label=label)
     axes.set_ylabel(axis_label)
     axes.set_xlabel('frame')
     axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=9))

@@ -92,5 +92,6 @@ def gallery(results, only=None):
     entries = [e for e in run['pictures'] if only is None or only in e['why'].split(', ')]
     order = {name: i for i, name in enumerate(d['name'] for d in run['setup']['detectors'])}
     entries.sort(key=lambda e: (order[e['detector']], e['frame']))
-    return Markup('<div class="pictures">') + Markup('').join(
+    columns = max(4, len(entries) // len(order)) if only else len(entries) // len(order)
+    return Markup(f'<div class="pictures" style="--columns: {columns}">') + Markup('').join(
         picture(results, folder, run, entry, method) for entry in entries) + Markup('</div>')

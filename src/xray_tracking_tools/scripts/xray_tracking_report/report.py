@@ -278,7 +278,7 @@ def radiographs(results, number):
     _, run = pictures.best_run(results)
     return [html.heading('Radiographs'), gallery, html.paragraph(
         Markup('<b>') + number('Figure') + Markup('</b> ') +
-        f'First, middle, last and worst frame by {figures.line_label(run["pictures_of"])}. {pictures_legend(results)}',
+        f'First, middle{", last and worst" if results.has_gold else " and last"} frame by {figures.line_label(run["pictures_of"])}. {pictures_legend(results)}',
         class_='caption')]
 
 
