@@ -276,10 +276,10 @@ def radiographs(results, number):
     if not gallery:
         return []
     _, run = pictures.best_run(results)
+    which = 'First, middle, last and worst' if results.has_gold else 'First, middle and last'
     return [html.heading('Radiographs'), gallery, html.paragraph(
         Markup('<b>') + number('Figure') + Markup('</b> ') +
-        f'First, middle{", last and worst" if results.has_gold else " and last"} frame by {figures.line_label(run["pictures_of"])}. {pictures_legend(results)}',
-        class_='caption')]
+        f'{which} frame by {figures.line_label(run["pictures_of"])}. {pictures_legend(results)}', class_='caption')]
 
 
 def pictures_legend(results):
