@@ -209,6 +209,12 @@ class Reports(Folder):
         with self.assertRaisesRegex(results.ResultsError, 'exposures are not the'):
             results.Results(self.path('r'))
 
+    def test_a_single_exposure_is_not_judged(self):
+        write_results(self.path('r'), {'tracking': [0.0]}, [0.0])
+        text = self.text_of('r')
+        self.assertIn('nothing is judged', text)
+        self.assertNotIn('Target registration error<', text)
+
     def test_results_that_never_have_a_pose(self):
         write_results(self.path('r'), {'tracking': [numpy.nan] * 3}, [0.0, 1.0, 2.0])
         self.assertIn('no pose', self.text_of('r'))

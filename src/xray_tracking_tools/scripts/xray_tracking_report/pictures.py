@@ -92,6 +92,7 @@ def gallery(results, only=None):
     entries = [e for e in run['pictures'] if only is None or only in e['why'].split(', ')]
     order = {name: i for i, name in enumerate(d['name'] for d in run['setup']['detectors'])}
     entries.sort(key=lambda e: (order[e['detector']], e['frame']))
-    columns = max(4, len(entries) // len(order)) if only else len(entries) // len(order)
+    # A row a view, unless that makes pictures of a page's width.
+    columns = len(entries) // len(order) if len(entries) > 2 * len(order) else 4
     return Markup(f'<div class="pictures" style="--columns: {columns}">') + Markup('').join(
         picture(results, folder, run, entry, method) for entry in entries) + Markup('</div>')
