@@ -214,8 +214,8 @@ def errors_by_axis(methods, errors):
             panel.set_ylabel(unit)
             panel.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=7))
             panel.yaxis.set_major_locator(MaxNLocator(nbins=4))
-        row[0].set_title(line_label(method.name) + ': translation', color=colour_of(method.name), fontweight='bold', loc='left')
-        row[1].set_title('rotation', color=colour_of(method.name), fontweight='bold', loc='left')
+        for panel, title in zip(row, (line_label(method.name) + ': translation', 'rotation')):
+            panel.set_title(title, color=colour_of(method.name), fontweight='bold', loc='left')
     axes[0][1].legend(loc='lower right', bbox_to_anchor=(1.0, 0.98), ncol=3, handlelength=1.2)
     for panel in axes[-1]:
         panel.set_xlabel('frame')

@@ -127,7 +127,8 @@ def _late(cohort, claim, who, method, rise, sign):
     early, late = thirds
     p = _one_sided(*stats.ttest_ind(late - rise, early, equal_var=False), sign)
     text = f'mean of the last third {late.mean():.3f} mm, of the first {early.mean():.3f} mm'
-    return Finding(claim, who, p < SIGNIFICANT, text + (f'; P is that of a rise by {rise} mm or more' if rise else ''), p)
+    text += f'; P is that of a rise by {rise} mm or more' if rise else ''
+    return Finding(claim, who, p < SIGNIFICANT, text, p)
 
 
 def worst_when_large(cohort, who, tracking, registration):

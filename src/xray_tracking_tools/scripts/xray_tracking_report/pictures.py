@@ -4,7 +4,7 @@ import itertools
 import os
 
 import numpy
-from markupsafe import Markup, escape
+from markupsafe import Markup
 
 from . import html
 
@@ -72,7 +72,7 @@ def picture(results, folder, run, entry, method):
         caption += f', TRE {html.mm(error)} mm'
     elif method.status[frame] != 'ok':
         caption += ', ' + method.status[frame]
-    return Markup('<figure>') + Markup(text) + Markup('<figcaption>') + escape(caption) + Markup('</figcaption></figure>')
+    return Markup('<figure>{}<figcaption>{}</figcaption></figure>').format(Markup(text), caption)
 
 
 def best_run(results):

@@ -82,7 +82,8 @@ def sections(folder):
 def lead(results):
     duration = results.stamps[-1] - results.stamps[0]
     detectors = len(results.run.get('setup', {}).get('detectors', []))
-    text = f'{results.frames} exposure{"" if results.frames == 1 else "s"}' + (f' of {detectors} views' if detectors else '') + f' in {duration:g} s. '
+    text = '1 exposure' if results.frames == 1 else f'{results.frames} exposures'
+    text += (f' of {detectors} views' if detectors else '') + f' in {duration:g} s. '
     if results.has_gold:
         return text + ('Errors are target registration errors (TRE): the root mean square distance, over the box of the '
                        'target, between where the estimated and the true pose put it. The first exposure is the '
