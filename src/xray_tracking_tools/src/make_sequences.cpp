@@ -49,7 +49,7 @@ struct Scenario
 {
   explicit Scenario(std::string its_name, std::uint64_t its_seed) : name(std::move(its_name)), seed(its_seed)
   {
-    motion.period = 11.0;
+    motion.period = 9.0;
     motion.max_shift_mm = 30.0;
     motion.max_rotation_deg = 10.0;
   }
@@ -107,7 +107,7 @@ std::vector<Scenario> standardSet()
 
   set.push_back(shifting("large_shift_late", 5));
   set.back().motion.type = MotionType::STEP;
-  set.back().motion.start = 8;
+  set.back().motion.start = 7;
   set.back().motion.amplitude_mm = { -9.0, 7.0, 8.0 };
 
   set.push_back(shifting("breathing", 6));
@@ -119,7 +119,7 @@ std::vector<Scenario> standardSet()
   set.push_back(shifting("swallow", 7));
   set.back().motion.type = MotionType::SWALLOW;
   set.back().motion.period = 5.0;
-  set.back().motion.start = 4;
+  set.back().motion.start = 3;
   set.back().motion.amplitude_mm = { 4.0, 0.5, 2.0 };
   set.back().motion.rest_share = 0.3;
 
@@ -331,12 +331,12 @@ int makeSequences(const po::variables_map& arguments)
 int main(int argc, char** argv)
 {
   xray_tracking::CommandLine command_line;
-  command_line.usage = "OUT_DIR [--sequences LIST] [--frames 12]";
+  command_line.usage = "OUT_DIR [--sequences LIST] [--frames 10]";
   command_line.description =
       "Makes the standard set of sequence folders, of the neck phantom's exact line integrals: the same files every "
       "time.\ndocs/reproduction.md tells what each one shows.";
   command_line.arguments = { "OUT_DIR" };
   command_line.options.add_options()("sequences", po::value<std::string>(), "some of them, with commas; default: all")(
-      "frames", po::value<int>()->default_value(12), "exposures of each");
+      "frames", po::value<int>()->default_value(10), "exposures of each");
   return xray_tracking::runCommand(argc, argv, command_line, xray_tracking::makeSequences);
 }

@@ -122,10 +122,8 @@ class Statistics(unittest.TestCase):
         pose = Rotation.from_rotvec([0.4, -1.1, 0.7])
         for k in range(frames):
             error = factor @ generator.normal(size=6)
-            gold.rotation[k] = pose.as_matrix()
-            gold.translation[k] = [1.0, 2.0, 3.0]
-            method.poses.rotation[k] = (Rotation.from_rotvec(error[3:]) * pose).as_matrix()
-            method.poses.translation[k] = gold.translation[k] + error[:3]
+            gold.set(k, [1.0, 2.0, 3.0], pose)
+            method.poses.set(k, gold.translation[k] + error[:3], Rotation.from_rotvec(error[3:]) * pose)
             method.covariance[k] = covariance
         errors = results.errors_by_axis(method, gold, centre)
         for freedom, nees in zip((3, 6), statistics.normalised_errors(method, gold, centre, errors)):
@@ -136,13 +134,22 @@ class Statistics(unittest.TestCase):
             wrong = statistics.calibration(nees * 4.0, freedom)  # standard deviations half as large as they are
             self.assertLess(wrong.high, 0.95)
 
+    def test_errors_are_along_and_about_the_room_axes(self):
+        method, gold = results.Method('a', 1), results.Poses(1)
+        pose = Rotation.from_rotvec([0.4, -1.1, 0.7])
+        gold.set(0, [5.0, 6.0, 7.0], pose)
+        turn = numpy.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # 90 degrees about room z
+        centre = pose.inv().apply([10.0, 0.0, 0.0])
+        method.poses.set(0, [5.0, 6.0, 7.5], Rotation.from_rotvec([0.0, 0.0, math.pi / 2.0]) * pose)
+        translation, rotation = results.errors_by_axis(method, gold, centre)
+        numpy.testing.assert_allclose(translation[0], turn @ [10.0, 0.0, 0.0] - [10.0, 0.0, -0.5], atol=1e-9)
+        numpy.testing.assert_allclose(rotation[0], [0.0, 0.0, 90.0], atol=1e-9)
+
     def test_distance_of_poses_is_the_mean_over_the_box(self):
         # Gauss and Legendre's two points an axis integrate a quadratic exactly.
         a, b = results.Method('a', 1), results.Method('b', 1)
-        a.poses.rotation[0] = Rotation.from_rotvec([0.1, 0.2, -0.1]).as_matrix()
-        a.poses.translation[0] = [3.0, -1.0, 2.0]
-        b.poses.rotation[0] = numpy.eye(3)
-        b.poses.translation[0] = 0.0
+        a.poses.set(0, [3.0, -1.0, 2.0], Rotation.from_rotvec([0.1, 0.2, -0.1]))
+        b.poses.set(0, [0.0, 0.0, 0.0], Rotation.from_quat([0.0, 0.0, 0.0, 1.0]))
         middle, half = (BOX[0] + BOX[1]) / 2.0, (BOX[1] - BOX[0]) / 2.0
         points = [middle + half * numpy.array(signs) / math.sqrt(3.0) for signs in
                   itertools.product((-1.0, 1.0), repeat=3)]
@@ -201,6 +208,12 @@ class Reports(Folder):
         write_results(self.path('r/other'), {'other': [0.0, 0.2]}, [0.0, 1.0])
         with self.assertRaisesRegex(results.ResultsError, 'exposures are not the'):
             results.Results(self.path('r'))
+
+    def test_a_single_exposure_is_not_judged(self):
+        write_results(self.path('r'), {'tracking': [0.0]}, [0.0])
+        text = self.text_of('r')
+        self.assertIn('nothing is judged', text)
+        self.assertNotIn('Target registration error<', text)
 
     def test_results_that_never_have_a_pose(self):
         write_results(self.path('r'), {'tracking': [numpy.nan] * 3}, [0.0, 1.0, 2.0])

@@ -28,7 +28,7 @@ WIDTH = 9.6              # [in]
 pyplot.rcParams.update({
     'svg.fonttype': 'none', 'svg.hashsalt': 'xray_tracking', 'font.family': 'DejaVu Sans', 'font.size': 9,
     'axes.spines.top': False, 'axes.spines.right': False, 'axes.linewidth': 0.8, 'axes.titlesize': 9,
-    'axes.titlelocation': 'left', 'axes.grid': True, 'grid.color': '#e4e4e4', 'grid.linewidth': 0.6,
+    'axes.grid': True, 'grid.color': '#e4e4e4', 'grid.linewidth': 0.6,
     'axes.axisbelow': True, 'legend.frameon': False, 'legend.fontsize': 8.5, 'lines.linewidth': 1.3,
     'xtick.color': '#333333', 'ytick.color': '#333333', 'axes.edgecolor': '#333333'})
 
@@ -60,7 +60,8 @@ def _svg(figure, description):
     text = re.sub(r'\bid="', f'id="{prefix}', text)
     text = text.replace('url(#', f'url(#{prefix}').replace('href="#', f'href="#{prefix}')
     text = text.replace("'DejaVu Sans'", "Arial, 'Liberation Sans', 'DejaVu Sans', sans-serif")
-    text = re.sub(r'(\d\.\d{3})\d+', r'\1', text)
+    # Thousandths of a point are enough for places; labels are left alone.
+    text = re.sub(r'\b(?:d|points|transform|x|y)="[^"]*"', lambda m: re.sub(r'(\.\d{3})\d+', r'\1', m[0]), text)
     text = re.sub(r'<svg ([^>]*?)(width="[^"]*"|height="[^"]*") ?([^>]*?)(width="[^"]*"|height="[^"]*")',
                   r'<svg \1\3', text, count=1)
     return text.replace('<svg ', f'<svg role="img" aria-label="{description}" ', 1)
@@ -134,7 +135,8 @@ def box_and_whisker(samples, axis_label):
                   solid_capstyle='butt')
         axes.plot([x], [median], marker='s', color='white', markeredgecolor=colour, markersize=6, markeredgewidth=1.5)
     axes.set_xlim(-0.6, len(samples) - 0.4)
-    axes.set_xticks(range(len(samples)), [label_of(name) for name, _ in samples])
+    axes.set_xticks(range(len(samples)))
+    axes.set_xticklabels([label_of(name) for name, _ in samples])
     axes.tick_params(axis='x', length=0)
     axes.grid(False, axis='x')
     axes.set_ylabel(axis_label)
@@ -146,19 +148,15 @@ def _panels(count, height, **arguments):
     columns = 2 if count in (2, 4) else min(3, count)
     rows = -(-count // columns)
     figure, axes = pyplot.subplots(rows, columns, figsize=(WIDTH, height * rows + 0.3), squeeze=False,
-                                   layout='constrained', **arguments)
+                                   constrained_layout=True, **arguments)
     flat = list(axes.flat)
     for unused in flat[count:]:
         unused.set_axis_off()
-    for above in flat[:count]:
-        above.tick_params(labelbottom=True)
-        if above.get_subplotspec().is_last_row() or flat.index(above) + columns >= count:
-            above.set_xlabel('frame')
-    return figure, flat[:count]
-
-
-def _first_column(panels):
-    return [axes for axes in panels if axes.get_subplotspec().is_first_col()]
+    for i, panel in enumerate(flat[:count]):
+        panel.tick_params(labelbottom=True)
+        if i + columns >= count:  # nothing below
+            panel.set_xlabel('frame')
+    return figure, flat[:count], flat[:count:columns]
 
 
 def _without_reference(values):
@@ -168,7 +166,7 @@ def _without_reference(values):
 
 def errors_over_frames(methods, uncorrected):
     """Paper's figure 6: a panel a method, the uncorrected curve dotted behind."""
-    figure, panels = _panels(len(methods), 2.2, sharex=True, sharey=True)
+    figure, panels, first_column = _panels(len(methods), 2.2, sharex=True, sharey=True)
     _log_axis(panels[0], [uncorrected[1:]] + [method.tre[1:] for method in methods], least=0.01)
     for axes, method in zip(panels, methods):
         frames, values = _thinned(_without_reference(uncorrected))
@@ -180,10 +178,10 @@ def errors_over_frames(methods, uncorrected):
         if missing:
             axes.plot(missing[:POINTS], [0.96] * len(missing[:POINTS]), linestyle='', marker='x', markersize=4,
                       color='#b5342b', transform=axes.get_xaxis_transform())
-        axes.set_title(line_label(method.name), color=colour_of(method.name), fontweight='bold')
+        axes.set_title(line_label(method.name), color=colour_of(method.name), fontweight='bold', loc='left')
         axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=7))
         _tolerances(axes, False)
-    for axes in _first_column(panels):
+    for axes in first_column:
         axes.set_ylabel('TRE (mm)')
     return _svg(figure, 'TRE over frames, by method')
 
@@ -200,14 +198,14 @@ def times_over_frames(methods):
     axes.set_ylabel('processor time (ms)')
     axes.set_xlabel('frame')
     axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=9))
-    axes.legend(loc='lower center', bbox_to_anchor=(0.5, 1.0), ncols=3)
+    axes.legend(loc='lower center', bbox_to_anchor=(0.5, 1.0), ncol=3)
     return _svg(figure, 'Processor time of every frame')
 
 
 def errors_by_axis(methods, errors):
     """errors: by method's name, (translation, rotation)."""
     figure, axes = pyplot.subplots(len(methods), 2, figsize=(WIDTH, 1.7 * len(methods) + 0.4), squeeze=False,
-                                   sharex=True, layout='constrained')
+                                   sharex=True, constrained_layout=True)
     for row, method in zip(axes, methods):
         for panel, values, unit in zip(row, errors[method.name], ('mm', '°')):
             for axis, colour in zip(range(3), ('#c2412d', '#3b8c3b', '#2f5fb3')):
@@ -216,9 +214,9 @@ def errors_by_axis(methods, errors):
             panel.set_ylabel(unit)
             panel.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=7))
             panel.yaxis.set_major_locator(MaxNLocator(nbins=4))
-        row[0].set_title(line_label(method.name) + ': translation', color=colour_of(method.name), fontweight='bold')
-        row[1].set_title('rotation', color=colour_of(method.name), fontweight='bold')
-    axes[0][1].legend(loc='lower right', bbox_to_anchor=(1.0, 0.98), ncols=3, title=None, handlelength=1.2)
+        for panel, title in zip(row, (line_label(method.name) + ': translation', 'rotation')):
+            panel.set_title(title, color=colour_of(method.name), fontweight='bold', loc='left')
+    axes[0][1].legend(loc='lower right', bbox_to_anchor=(1.0, 0.98), ncol=3, handlelength=1.2)
     for panel in axes[-1]:
         panel.set_xlabel('frame')
     return _svg(figure, 'Translation and rotation error by room axis')
@@ -226,7 +224,7 @@ def errors_by_axis(methods, errors):
 
 def normalised_errors(methods, nees, freedom):
     """nees: by method's name."""
-    figure, panels = _panels(len(methods), 1.9, sharex=True, sharey=True)
+    figure, panels, first_column = _panels(len(methods), 1.9, sharex=True, sharey=True)
     bounds = stats.chi2.ppf([0.025, 0.95, 0.975], freedom)
     for axes, method in zip(panels, methods):
         axes.axhspan(bounds[0], bounds[2], color='#009e73', alpha=0.12, linewidth=0)
@@ -237,9 +235,9 @@ def normalised_errors(methods, nees, freedom):
                   linewidth=0.9)
         axes.set_yscale('log')
         axes.yaxis.set_major_formatter(FuncFormatter(_plain))
-        axes.set_title(line_label(method.name), color=colour_of(method.name), fontweight='bold')
+        axes.set_title(line_label(method.name), color=colour_of(method.name), fontweight='bold', loc='left')
         axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=7))
-    for axes in _first_column(panels):
+    for axes in first_column:
         axes.set_ylabel('NEES')
     return _svg(figure, 'Normalised estimation error squared over frames')
 
@@ -256,7 +254,8 @@ def gate_over_time(methods):
             start += length
             if reason not in seen:
                 seen.append(reason)
-    axes.set_yticks(range(len(methods)), [line_label(method.name) for method in methods])
+    axes.set_yticks(range(len(methods)))
+    axes.set_yticklabels([line_label(method.name) for method in methods])
     axes.set_ylim(len(methods) - 0.5, -0.5)
     axes.set_xlim(-0.5, len(methods[0].gate) - 0.5)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=9))
@@ -264,7 +263,7 @@ def gate_over_time(methods):
     axes.tick_params(axis='y', length=0)
     axes.set_xlabel('frame')
     axes.legend(handles=[Patch(color=GATE_COLOURS.get(r, '#ffffff'), label=gate_words(r)) for r in seen],
-                loc='lower center', bbox_to_anchor=(0.42, 1.0), ncols=4)
+                loc='lower center', bbox_to_anchor=(0.42, 1.0), ncol=4)
     return _svg(figure, 'The beam gate over frames')
 
 
@@ -275,13 +274,13 @@ def gate_words(reason):
 def curves(named, axis_label):
     """Curves over frames: (label, colour, values)."""
     figure, axes = pyplot.subplots(figsize=(WIDTH, 2.7))
-    _log_axis(axes, [values for _, _, values in named])
+    _log_axis(axes, [values[1:] for _, _, values in named])
     for label, colour, values in named:
-        axes.plot(*_thinned(values), color=colour, label=label)
+        axes.plot(*_thinned(_without_reference(values)), color=colour, label=label)
     axes.set_ylabel(axis_label)
     axes.set_xlabel('frame')
     axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=9))
-    axes.legend(loc='lower center', bbox_to_anchor=(0.5, 1.0), ncols=3)
+    axes.legend(loc='lower center', bbox_to_anchor=(0.5, 1.0), ncol=3)
     return _svg(figure, axis_label + ' over frames')
 
 
@@ -297,7 +296,8 @@ def medians_by_sequence(names, rows):
             axes.plot([median, p95], [y + offset] * 2, color=colour_of(method), linewidth=1.0, alpha=0.6)
         axes.plot([median for (median, _), _ in points], [y + offset for _, y in points], linestyle='', marker='o',
                   markersize=4.5, color=colour_of(method), label=line_label(method))
-    axes.set_yticks(range(len(names)), names)
+    axes.set_yticks(range(len(names)))
+    axes.set_yticklabels(names)
     axes.set_ylim(len(names) - 0.4, -0.6)
     axes.set_xscale('log')
     axes.xaxis.set_major_formatter(FuncFormatter(_plain))
@@ -306,5 +306,5 @@ def medians_by_sequence(names, rows):
     for tolerance in TOLERANCES:
         axes.axvline(tolerance, color='#555555', linewidth=0.7, linestyle=(0, (5, 3)))
     axes.tick_params(axis='y', length=0)
-    axes.legend(loc='lower center', bbox_to_anchor=(0.4, 1.0), ncols=3)
+    axes.legend(loc='lower center', bbox_to_anchor=(0.4, 1.0), ncol=3)
     return _svg(figure, 'Median TRE by sequence and method')

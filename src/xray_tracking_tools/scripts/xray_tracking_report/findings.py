@@ -47,13 +47,15 @@ class Cohort:
 def judge(all_results):
     cohort = Cohort(all_results)
     names = {name for results in cohort.sequences for name in results.methods}
-    found = [corrects(cohort, name) for name in sorted(names - {UNCORRECTED})]
+    found = [smaller(cohort, 'It corrects motion', _name(name), name, UNCORRECTED) for name in
+             sorted(names - {UNCORRECTED})]
     for family in (PUBLISHED, OURS):
         who, tracking, registration = family
-        found.append(beats(cohort, 'Tracking is better than registration alone', who, tracking, registration))
-    found.append(beats(cohort, 'Tracking + registration is better than registration alone', OURS[0], COMBINED, OURS[2]))
-    found.append(beats(cohort, 'Tracking + registration is better than registration alone',
-                       'against the published registration', COMBINED, PUBLISHED[2]))
+        found.append(smaller(cohort, 'Tracking is better than registration alone', who, tracking, registration))
+    found.append(smaller(cohort, 'Tracking + registration is better than registration alone', OURS[0], COMBINED,
+                         OURS[2]))
+    found.append(smaller(cohort, 'Tracking + registration is better than registration alone',
+                         'against the published registration', COMBINED, PUBLISHED[2]))
     found.append(alike(cohort, 'Tracking and tracking + registration do not differ', OURS[0], OURS[1], COMBINED))
     for who, tracking, _ in (PUBLISHED, OURS):
         found.append(drifts(cohort, who, tracking))
@@ -74,28 +76,26 @@ def _name(method):
             'paper_registration': 'registration as published'}.get(method, method)
 
 
-def corrects(cohort, method):
-    comparison, less, n = cohort.pair(method, UNCORRECTED)
-    claim = 'It corrects motion'
-    if comparison.n < 2:
-        return Finding(claim, _name(method), None, 'no frames')
-    return Finding(claim, _name(method), bool(comparison.mean < 0.0 and comparison.p < SIGNIFICANT),
-                   _words(comparison, less, n, method, UNCORRECTED), comparison.p)
-
-
-def beats(cohort, claim, who, a, b):
-    comparison, less, n = cohort.pair(a, b)
-    if comparison.n < 2:
-        return Finding(claim, who, None, f'needs {_name(a)} and {_name(b)}')
-    return Finding(claim, who, bool(comparison.mean < 0.0 and comparison.p < SIGNIFICANT),
-                   _words(comparison, less, n, a, b), comparison.p)
+def smaller(cohort, claim, who, a, b):
+    """Held if a's errors are significantly smaller than b's."""
+    return _compared(cohort, claim, who, a, b, lambda c: c.mean < 0.0 and c.p < SIGNIFICANT)
 
 
 def alike(cohort, claim, who, a, b):
+    """Held if they do not differ significantly."""
+    return _compared(cohort, claim, who, a, b, lambda c: c.p >= SIGNIFICANT)
+
+
+def _compared(cohort, claim, who, a, b, held):
     comparison, less, n = cohort.pair(a, b)
     if comparison.n < 2:
         return Finding(claim, who, None, f'needs {_name(a)} and {_name(b)}')
-    return Finding(claim, who, bool(comparison.p >= SIGNIFICANT), _words(comparison, less, n, a, b), comparison.p)
+    return Finding(claim, who, bool(held(comparison)), _words(comparison, less, n, a, b), comparison.p)
+
+
+def _one_sided(statistic, p, sign):
+    """Of a two-sided P, that of a statistic of this sign."""
+    return float(p / 2.0 if statistic * sign > 0.0 else 1.0 - p / 2.0)
 
 
 def _early_and_late(cohort, method):
@@ -111,27 +111,24 @@ def _early_and_late(cohort, method):
 
 
 def drifts(cohort, who, method):
-    claim = 'Tracking drifts in late frames'
-    thirds = _early_and_late(cohort, method)
-    if thirds is None:
-        return Finding(claim, who, None, f'needs {_name(method)}')
-    early, late = thirds
-    p = float(stats.ttest_ind(late, early, equal_var=False, alternative='greater').pvalue)
-    return Finding(claim, who, p < SIGNIFICANT,
-                   f'mean of the last third {late.mean():.3f} mm, of the first {early.mean():.3f} mm', p)
+    return _late(cohort, 'Tracking drifts in late frames', who, method, 0.0, 1.0)
 
 
 def stable(cohort, who, method):
-    claim = 'Tracking + registration stays stable in late frames'
+    """By ruling out that late frames are worse by STABLE_MM or more."""
+    return _late(cohort, 'Tracking + registration stays stable in late frames', who, method, STABLE_MM, -1.0)
+
+
+def _late(cohort, claim, who, method, rise, sign):
+    """Held if the late frames' errors exceed the early ones' by significantly more (sign 1) or less (-1) than `rise`."""
     thirds = _early_and_late(cohort, method)
     if thirds is None:
         return Finding(claim, who, None, f'needs {_name(method)}')
     early, late = thirds
-    # Of the hypothesis that late frames are worse by STABLE_MM or more.
-    p = float(stats.ttest_ind(late - STABLE_MM, early, equal_var=False, alternative='less').pvalue)
-    return Finding(claim, who, p < SIGNIFICANT,
-                   f'mean of the last third {late.mean():.3f} mm, of the first {early.mean():.3f} mm; P is that of '
-                   f'a rise by {STABLE_MM} mm or more', p)
+    p = _one_sided(*stats.ttest_ind(late - rise, early, equal_var=False), sign)
+    text = f'mean of the last third {late.mean():.3f} mm, of the first {early.mean():.3f} mm'
+    text += f'; P is that of a rise by {rise} mm or more' if rise else ''
+    return Finding(claim, who, p < SIGNIFICANT, text, p)
 
 
 def worst_when_large(cohort, who, tracking, registration):
@@ -144,14 +141,15 @@ def worst_when_large(cohort, who, tracking, registration):
     known = numpy.isfinite(errors[registration]) & numpy.isfinite(errors[tracking])
     if known.sum() < 8:
         return Finding(claim, who, None, 'fewer than 8 frames')
-    rank = stats.spearmanr(motion[known], errors[registration][known], alternative='greater')
+    rank, two_sided = stats.spearmanr(motion[known], errors[registration][known])
+    p = _one_sided(rank, two_sided, 1.0)
     large = known & (motion >= numpy.percentile(motion[known], 75))
     of_large = {m: errors[m][large].mean() for m in errors}
-    held = rank.pvalue < SIGNIFICANT and of_large[registration] > of_large[tracking]
+    held = p < SIGNIFICANT and of_large[registration] > of_large[tracking]
     return Finding(claim, who, bool(held),
-                   f'rank correlation of its error with the motion {rank.statistic:+.2f}; in the quarter of frames with '
+                   f'rank correlation of its error with the motion {rank:+.2f}; in the quarter of frames with '
                    f'the largest motion {of_large[registration]:.3f} mm, tracking {of_large[tracking]:.3f} mm'
-                   .replace('-', '−'), float(rank.pvalue))
+                   .replace('-', '−'), p)
 
 
 def faster(cohort):

@@ -31,8 +31,8 @@ def paragraph(text, **attributes):
 
 
 def figure(svg, number, caption):
-    return Markup('<figure class="wide">') + Markup(svg) + Markup('<figcaption><b>') + escape(number) + Markup(
-        '</b> ') + escape(caption) + Markup('</figcaption></figure>')
+    return Markup('<figure class="wide">{}<figcaption><b>{}</b> {}</figcaption></figure>').format(
+        Markup(svg), number, caption)
 
 
 def table(head, rows, number='', caption='', quiet=()):
@@ -41,7 +41,7 @@ def table(head, rows, number='', caption='', quiet=()):
     # Not a caption element: on a narrow screen that would scroll away with the table.
     text = Markup('<div class="scroll"><table>')
     if number:
-        text = Markup('<p class="caption"><b>') + escape(number) + Markup('</b> ') + escape(caption) + Markup('</p>') + text
+        text = Markup('<p class="caption"><b>{}</b> {}</p>').format(number, caption) + text
     if any(head):
         text += Markup('<thead><tr>') + Markup('').join(
             element('th', title, class_='n' if is_number else '') for title, is_number in zip(head, numeric))

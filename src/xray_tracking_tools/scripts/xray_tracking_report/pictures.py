@@ -4,7 +4,7 @@ import itertools
 import os
 
 import numpy
-from markupsafe import Markup, escape
+from markupsafe import Markup
 
 from . import html
 
@@ -72,7 +72,7 @@ def picture(results, folder, run, entry, method):
         caption += f', TRE {html.mm(error)} mm'
     elif method.status[frame] != 'ok':
         caption += ', ' + method.status[frame]
-    return Markup('<figure>') + Markup(text) + Markup('<figcaption>') + escape(caption) + Markup('</figcaption></figure>')
+    return Markup('<figure>{}<figcaption>{}</figcaption></figure>').format(Markup(text), caption)
 
 
 def best_run(results):
@@ -92,5 +92,7 @@ def gallery(results, only=None):
     entries = [e for e in run['pictures'] if only is None or only in e['why'].split(', ')]
     order = {name: i for i, name in enumerate(d['name'] for d in run['setup']['detectors'])}
     entries.sort(key=lambda e: (order[e['detector']], e['frame']))
-    return Markup('<div class="pictures">') + Markup('').join(
+    # A row a view, unless that makes pictures of a page's width.
+    columns = len(entries) // len(order) if len(entries) > 2 * len(order) else 4
+    return Markup(f'<div class="pictures" style="--columns: {columns}">') + Markup('').join(
         picture(results, folder, run, entry, method) for entry in entries) + Markup('</div>')

@@ -47,7 +47,7 @@ def comparison_rows(samples):
     for a, b in itertools.combinations(samples, 2):
         c = statistics.paired(samples[a], samples[b])
         rows.append([html.method_cell(a), html.method_cell(b), c.n, signed(c.mean),
-                     f'{signed(c.low)} to {signed(c.high)}', signed(c.t, 2), html.probability(c.p), signed(c.effect, 2)])
+                     f'{signed(c.low)} to {signed(c.high)}' if c.n > 1 else '–', signed(c.t, 2), html.probability(c.p), signed(c.effect, 2)])
     return rows
 
 
@@ -67,8 +67,12 @@ def sections(folder):
     results = Results(folder)
     number = Numbering()
     parts = [html.heading(f'Target tracking in “{results.name}”', 1), html.paragraph(lead(results), class_='lead')]
-    parts += with_gold(results, number) if results.has_gold else without_gold(results, number)
-    parts += times(results, number)
+    if results.frames < 2:
+        parts += [html.paragraph('There is no exposure after the first one, so nothing is judged.', class_='warning')]
+        parts += missing(results)
+    else:
+        parts += with_gold(results, number) if results.has_gold else without_gold(results, number)
+        parts += times(results, number)
     parts += gate(results, number)
     parts += radiographs(results, number)
     parts += provenance(results, number)
@@ -78,7 +82,8 @@ def sections(folder):
 def lead(results):
     duration = results.stamps[-1] - results.stamps[0]
     detectors = len(results.run.get('setup', {}).get('detectors', []))
-    text = f'{results.frames} exposures' + (f' of {detectors} views' if detectors else '') + f' in {duration:g} s. '
+    text = '1 exposure' if results.frames == 1 else f'{results.frames} exposures'
+    text += (f' of {detectors} views' if detectors else '') + f' in {duration:g} s. '
     if results.has_gold:
         return text + ('Errors are target registration errors (TRE): the root mean square distance, over the box of the '
                        'target, between where the estimated and the true pose put it. The first exposure is the '
@@ -156,8 +161,8 @@ def bias_and_spread(values, digits):
     values = values[numpy.isfinite(values)]
     if len(values) == 0:
         return '–'
-    spread = values.std(ddof=1) if len(values) > 1 else 0.0
-    return f'{signed(values.mean(), digits)} ± {spread:.{digits}f}'
+    spread = f' ± {values.std(ddof=1):.{digits}f}' if len(values) > 1 else ''
+    return signed(values.mean(), digits) + spread
 
 
 def calibration(results, errors, centre, number):
@@ -276,10 +281,10 @@ def radiographs(results, number):
     if not gallery:
         return []
     _, run = pictures.best_run(results)
+    which = 'First, middle, last and worst' if results.has_gold else 'First, middle and last'
     return [html.heading('Radiographs'), gallery, html.paragraph(
         Markup('<b>') + number('Figure') + Markup('</b> ') +
-        f'First, middle, last and worst frame by {figures.line_label(run["pictures_of"])}. {pictures_legend(results)}',
-        class_='caption')]
+        f'{which} frame by {figures.line_label(run["pictures_of"])}. {pictures_legend(results)}', class_='caption')]
 
 
 def pictures_legend(results):

@@ -44,13 +44,18 @@ class Poses:
 
     def __init__(self, frames):
         self.translation = numpy.full((frames, 3), numpy.nan)
+        self.quaternion = numpy.full((frames, 4), numpy.nan)  # x, y, z, w
         self.rotation = numpy.full((frames, 3, 3), numpy.nan)
 
-    def set(self, frame, row):
+    def set(self, frame, translation, rotation):
+        self.translation[frame] = translation
+        self.quaternion[frame] = rotation.as_quat()
+        self.rotation[frame] = rotation.apply(numpy.eye(3)).T
+
+    def read(self, frame, row):
         values = [number(row[key]) for key in ('tx_mm', 'ty_mm', 'tz_mm', 'qx', 'qy', 'qz', 'qw')]
         if numpy.isfinite(values).all():
-            self.translation[frame] = values[:3]
-            self.rotation[frame] = Rotation.from_quat(values[3:]).as_matrix()
+            self.set(frame, values[:3], Rotation.from_quat(values[3:]))
 
     def of(self, point):
         """Where a point of the patient is in every frame [mm]."""
@@ -146,7 +151,7 @@ class Results:
             method.status[frame] = row['status']
             method.cpu[frame] = number(row['cpu_s'])
         for row in read_table(os.path.join(part, 'poses.csv')):
-            self._method(row['method']).poses.set(int(row['frame']), row)
+            self._method(row['method']).poses.read(int(row['frame']), row)
         self._read_further(part)
 
     def _read_further(self, part):
@@ -174,7 +179,7 @@ class Results:
         for row in rows('gold_standard.csv'):
             if self.gold is None:
                 self.gold = Poses(self.frames)
-            self.gold.set(int(row['frame']), row)
+            self.gold.read(int(row['frame']), row)
         if os.path.exists(os.path.join(part, 'run.json')):
             self.runs.append((part, read_json(os.path.join(part, 'run.json'))))
 
@@ -206,9 +211,9 @@ def box_distance(a, b, box):
 def errors_by_axis(method, gold, centre):
     """Translation of the target's centre [mm] and rotation [degrees] from the gold standard, room axes; n x 3 each."""
     translation = method.poses.of(centre) - gold.of(centre)
-    turn = method.poses.rotation @ numpy.swapaxes(gold.rotation, 1, 2)
     rotation = numpy.full_like(translation, numpy.nan)
-    known = numpy.isfinite(turn).all(axis=(1, 2))
+    known = numpy.isfinite(translation).all(axis=1)
     if known.any():
-        rotation[known] = Rotation.from_matrix(turn[known]).as_rotvec(degrees=True)
+        turn = Rotation.from_quat(method.poses.quaternion[known]) * Rotation.from_quat(gold.quaternion[known]).inv()
+        rotation[known] = numpy.degrees(turn.as_rotvec())
     return translation, rotation

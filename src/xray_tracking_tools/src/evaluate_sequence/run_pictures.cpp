@@ -87,6 +87,14 @@ cv::Mat tones(const cv::Mat& attenuation)
   return grey;
 }
 
+/// As tones(), with the contrast of each neighbourhood: a collimator or air beside the patient would take all of it.
+cv::Mat localTones(const cv::Mat& attenuation)
+{
+  cv::Mat grey;
+  cv::createCLAHE(3.0, { 6, 6 })->apply(tones(attenuation), grey);
+  return grey;
+}
+
 /// Edges of a DRR, transparent elsewhere.
 cv::Mat edgesOf(const cv::Mat& line_integrals)
 {
@@ -133,7 +141,7 @@ nlohmann::json drawPictures(const ExposureSource& source, const MethodResult& me
                                  { "crop", { crop.x, crop.y, crop.width, crop.height } },
                                  { "radiograph", name + ".jpg" },
                                  { "edges", nullptr } };
-      const cv::Mat radiograph = tones(attenuationImage(images[d](crop), source.setup.intensity));
+      const cv::Mat radiograph = localTones(attenuationImage(images[d](crop), source.setup.intensity));
       writePicture(root / (name + ".jpg"), shrunk(radiograph), { cv::IMWRITE_JPEG_QUALITY, 80 });
       if (target != nullptr && has_pose)
       {
