@@ -266,10 +266,12 @@ Sequence loadSequence(const std::string& directory)
     }
   }
   const auto tolerance_ns = static_cast<std::int64_t>(std::llround(tolerance_s * 1e9));
-  sequence.exposures = readExposures(sequence.setup, folder / root.get("frames").text(), tolerance_ns);
+  sequence.tables = { path, (folder / root.get("frames").text()).string() };
+  sequence.exposures = readExposures(sequence.setup, sequence.tables.back(), tolerance_ns);
   if (const auto gold_standard = root.find("gold_standard"))
   {
-    sequence.gold_standard = readGoldStandard(sequence.exposures, folder / gold_standard->text(), tolerance_ns);
+    sequence.tables.push_back((folder / gold_standard->text()).string());
+    sequence.gold_standard = readGoldStandard(sequence.exposures, sequence.tables.back(), tolerance_ns);
   }
   return sequence;
 }

@@ -23,6 +23,7 @@ namespace xray_tracking
 {
 namespace
 {
+constexpr const char* kImages = "images";      // of InputFiles
 constexpr double kProjectionTolerance = 1e-3;  // [px], of what a camera_info's numbers differ by
 
 std::string lastName(const std::string& topic)
@@ -180,6 +181,13 @@ void ExposureSource::keepFirst(int frames)
   }
   stamps_ns.resize(static_cast<std::size_t>(frames));
   gold_standard.resize(std::min(stamps_ns.size(), gold_standard.size()));
+  for (InputFiles& input : inputs)
+  {
+    if (input.what == kImages)
+    {
+      input.files.resize(stamps_ns.size() * setup.detectors.size());
+    }
+  }
 }
 
 ExposureSource sequenceSource(const std::string& folder)
@@ -187,10 +195,13 @@ ExposureSource sequenceSource(const std::string& folder)
   const auto sequence = std::make_shared<const Sequence>(loadSequence(folder));
   ExposureSource source;
   source.name = std::filesystem::canonical(folder).stem().string();
+  source.path = folder;
   source.setup = sequence->setup;
+  source.inputs = { { "tables", sequence->tables }, { kImages, {} } };
   for (const Exposure& exposure : sequence->exposures)
   {
     source.stamps_ns.push_back(exposure.stamp_ns);
+    source.inputs.back().files.insert(source.inputs.back().files.end(), exposure.files.begin(), exposure.files.end());
   }
   for (const StampedPose& pose : sequence->gold_standard)
   {
@@ -213,7 +224,9 @@ ExposureSource bagSource(const std::string& bag_path, const std::string& setup_p
 {
   ExposureSource source;
   source.name = std::filesystem::path(bag_path).stem().string();
+  source.path = bag_path;
   source.setup = loadTreatmentSetup(setup_path);
+  source.inputs = { { "tables", { setup_path } }, { "bag", { bag_path } } };
   try
   {
     const auto reader = std::make_shared<BagReader>(bag_path);

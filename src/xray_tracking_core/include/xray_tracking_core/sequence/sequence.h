@@ -34,6 +34,7 @@ struct Sequence
   TreatmentSetup setup;
   std::vector<Exposure> exposures;
   std::vector<StampedPose> gold_standard;  ///< empty, or one for each exposure
+  std::vector<std::string> tables;         ///< absolute paths of sequence.yaml and what it names but images and CT
 };
 
 /// Reads `DIR/sequence.yaml` and the tables it names; images are only looked for, not read. Stamps must be plain
