@@ -89,7 +89,7 @@ def alike(cohort, claim, who, a, b):
 def _compared(cohort, claim, who, a, b, held):
     comparison, less, n = cohort.pair(a, b)
     if comparison.n < 2:
-        return Finding(claim, who, None, f'needs {_name(a)} and {_name(b)}')
+        return Finding(claim, who, None, f'too few frames with a pose of {_name(a)} and {_name(b)}')
     return Finding(claim, who, bool(held(comparison)), _words(comparison, less, n, a, b), comparison.p)
 
 
@@ -123,7 +123,7 @@ def _late(cohort, claim, who, method, rise, sign):
     """Held if the late frames' errors exceed the early ones' by significantly more (sign 1) or less (-1) than `rise`."""
     thirds = _early_and_late(cohort, method)
     if thirds is None:
-        return Finding(claim, who, None, f'needs {_name(method)}')
+        return Finding(claim, who, None, f'too few frames with a pose of {_name(method)}')
     early, late = thirds
     p = _one_sided(*stats.ttest_ind(late - rise, early, equal_var=False), sign)
     text = f'mean of the last third {late.mean():.3f} mm, of the first {early.mean():.3f} mm'
