@@ -9,32 +9,17 @@
 
 #include <cv_bridge/cv_bridge.h>
 #include <geometry_msgs/PoseStamped.h>
-#include <rosbag/bag.h>
-#include <rosbag/view.h>
 #include <sensor_msgs/CameraInfo.h>
 #include <sensor_msgs/Image.h>
 
 #include "xray_tracking_conversions/conversions.h"
 #include "xray_tracking_core/sequence/sequence.h"
-#include "xray_tracking_tools/sequence_bag.h"
+#include "xray_tracking_tools/recording.h"
 
 namespace xray_tracking
 {
 namespace
 {
-constexpr double kProjectionTolerance = 1e-3;  // [px], of what a camera_info's numbers differ by
-
-std::string lastName(const std::string& topic)
-{
-  return topic.substr(topic.rfind('/') + 1);
-}
-
-/// `detector_a` of `/room/detector_a/image_raw`.
-std::string detectorOf(const std::string& topic)
-{
-  return lastName(topic.substr(0, topic.rfind('/')));
-}
-
 /// One detector's exposure in a bag, read when it is asked for.
 struct BagImage
 {
@@ -51,27 +36,25 @@ struct BagExposure
 
 void checkCameraInfo(const sensor_msgs::CameraInfo& info, const ProjectionGeometry& detector)
 {
-  const sensor_msgs::CameraInfo expected = cameraInfoFromGeometry(detector);
-  bool same = info.width == expected.width && info.height == expected.height;
-  for (std::size_t i = 0; i < info.P.size(); ++i)
+  const std::string difference = cameraInfoDifference(info, detector);
+  if (!difference.empty())
   {
-    same = same && std::abs(info.P[i] - expected.P[i]) <= kProjectionTolerance;
-  }
-  if (!same)
-  {
-    throw std::runtime_error(detector.name() + "/camera_info differs from the setup's detector");
+    throw std::runtime_error(detector.name() + "/camera_info differs from the setup's detector: " + difference);
   }
 }
 
 class BagReader
 {
 public:
-  explicit BagReader(const std::string& path) : path_(path), bag_(path, rosbag::bagmode::Read) {}
+  explicit BagReader(const std::string& path) : recording_(path) {}
+
+  TreatmentSetup setup(const std::string& path) const { return recording_.setup(path); }
 
   std::map<std::int64_t, BagExposure> scan(const TreatmentSetup& setup)
   {
     std::map<std::int64_t, BagExposure> exposures;
-    for (const rosbag::MessageInstance& instance : rosbag::View(bag_))
+    const auto view = recording_.messages();
+    for (const rosbag::MessageInstance& instance : *view)
     {
       const std::string& topic = instance.getTopic();
       const auto is_of_setup = [&](const ProjectionGeometry& detector) { return detector.name() == detectorOf(topic); };
@@ -103,7 +86,8 @@ public:
 
   cv::Mat read(const BagImage& at, std::int64_t stamp_ns)
   {
-    for (const rosbag::MessageInstance& instance : rosbag::View(bag_, rosbag::TopicQuery(at.topic), at.time, at.time))
+    const auto view = recording_.messages(at.topic, at.time);
+    for (const rosbag::MessageInstance& instance : *view)
     {
       const auto image = instance.instantiate<sensor_msgs::Image>();
       if (image && nanosecondsFromTime(image->header.stamp) == stamp_ns)
@@ -111,12 +95,11 @@ public:
         return cv_bridge::toCvCopy(image)->image;
       }
     }
-    throw std::runtime_error(path_ + ": " + at.topic + " has changed while it was read");
+    throw std::runtime_error(recording_.path() + ": " + at.topic + " has changed while it was read");
   }
 
 private:
-  std::string path_;
-  rosbag::Bag bag_;
+  Recording recording_;
 };
 }  // namespace
 
@@ -161,10 +144,10 @@ ExposureSource bagSource(const std::string& bag_path, const std::string& setup_p
 {
   ExposureSource source;
   source.name = std::filesystem::path(bag_path).stem().string();
-  source.setup = loadTreatmentSetup(setup_path);
+  const auto reader = std::make_shared<BagReader>(bag_path);
+  source.setup = reader->setup(setup_path);
   try
   {
-    const auto reader = std::make_shared<BagReader>(bag_path);
     std::vector<BagExposure> complete;
     bool all_have_truth = true;
     for (auto& [stamp_ns, exposure] : reader->scan(source.setup))

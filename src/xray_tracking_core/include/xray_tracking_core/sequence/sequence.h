@@ -27,10 +27,28 @@ struct Exposure
 /// A sequence folder (formats.md): setup, exposures in order of time, and the gold standard where there is one.
 struct Sequence
 {
+  std::string directory;  ///< where it was read from, absolute
   TreatmentSetup setup;
   std::vector<Exposure> exposures;
   std::vector<StampedPose> gold_standard;  ///< empty, or one for each exposure
 };
+
+/// A row of a sequence's table of frames.
+struct FrameRow
+{
+  std::int64_t stamp_ns = 0;
+  std::string detector;
+  std::string file;   ///< absolute
+  std::string where;  ///< table and line, for messages
+};
+
+/// A sequence folder's table of frames, row by row as it is: also one that loadSequence() refuses.
+/// @throws std::runtime_error naming the file, the line and what is wrong with the row itself
+std::vector<FrameRow> loadFrameTable(const std::string& directory);
+
+/// Path of the table of the gold standard that a sequence folder names; empty if it names none.
+/// @throws std::runtime_error if there is no sequence.yaml
+std::string goldStandardPath(const std::string& directory);
 
 /// Reads `DIR/sequence.yaml` and the tables it names; images are only looked for, not read. Stamps must be plain
 /// decimal numbers ("1699999999.25"; no sign, no exponent) from 0 to less than 2^32 s; digits after the ninth are
