@@ -22,7 +22,8 @@ namespace xray_tracking
 {
 namespace
 {
-/// What bag_to_sequence needs to get everything back.
+/// What bag_to_sequence needs to get everything back; and, once more at the end, when the next exposure would be, so
+/// that a player that begins anew there leaves time for the last one.
 void writeDescription(const Sequence& sequence, rosbag::Bag& bag)
 {
   RunDescription description = describeRun(sequence.directory + "/sequence.yaml");
@@ -40,8 +41,13 @@ void writeDescription(const Sequence& sequence, rosbag::Bag& bag)
                      { "type", ros::message_traits::datatype(message) },
                      { "md5sum", ros::message_traits::md5sum(message) },
                      { "message_definition", ros::message_traits::definition(message) } });
-  bag.write(std::string("/") + kRunDescriptionTopic, playbackTime(sequence.exposures.front().stamp_ns), message,
-            latched);
+  const std::vector<Exposure>& exposures = sequence.exposures;
+  const std::int64_t last = exposures.back().stamp_ns;
+  const std::int64_t next = exposures.size() > 1 ? 2 * last - exposures[exposures.size() - 2].stamp_ns : last;
+  for (const std::int64_t stamp_ns : { exposures.front().stamp_ns, next })
+  {
+    bag.write(std::string("/") + kRunDescriptionTopic, playbackTime(stamp_ns), message, latched);
+  }
 }
 
 void writeExposures(const Sequence& sequence, rosbag::Bag& bag,
