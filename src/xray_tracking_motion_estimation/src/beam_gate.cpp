@@ -310,6 +310,29 @@ bool BeamGate::doubt(const std::string& why)
   return reviewVerification();
 }
 
+bool BeamGate::stated(std::int64_t stamp, const Eigen::Vector3d& displacement, double rotation,
+                      const std::string& refusal)
+{
+  displacement_ = displacement;
+  rotation_ = rotation;
+  last_place_.emplace(stamp, displacement);
+  jump_.reset();
+  good_ = 0;
+  verification_.restart();
+  verification_.doubt("no registration has confirmed the pose that was stated");
+  if (!refusal.empty())
+  {
+    verification_.refuse(refusal, false);
+  }
+  verification_.confirm(stamp);
+  if (std::string fault = verification_.fault(); !fault.empty())
+  {
+    return change({ GateReason::UNVERIFIED, std::move(fault) });
+  }
+  return change(
+      { GateReason::CONFIRMING, "registered where it was stated to be, but exposures have to be good there" });
+}
+
 bool BeamGate::reviewVerification()
 {
   // Other reasons stand until the next exposure.

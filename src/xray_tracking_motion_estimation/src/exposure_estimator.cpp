@@ -127,7 +127,14 @@ void ExposureEstimator::accept(const Refinement& refinement, const TrackedExposu
   reference_covariance_ = covariance;
   consistency_.reset();
   rigid_consistency_.reset();
-  references_.carry(refinement, target_centre_);
+  if (refinement.claimed)
+  {
+    references_.clear();
+  }
+  else
+  {
+    references_.carry(refinement, target_centre_);
+  }
   for (std::size_t i = 0; i < exposure.views.size(); ++i)
   {
     if (doubtOf(i, exposure).state == MotionState::OK)

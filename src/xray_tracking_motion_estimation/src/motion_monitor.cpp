@@ -57,6 +57,12 @@ void MotionMonitor::onReply(const RefinementReply& reply, std::int64_t now)
   {
     return;
   }
+  if (claim_ && claim_->request == reply.id)
+  {
+    endClaim(reply);
+    advance(now);
+    return;
+  }
   took_ = { now - asked_, took_[0] };
   RefinementPolicy::Judgement judgement = refinement_.judge(reply);
   const bool of_current = current_ && current_->asked == reply.id;
@@ -95,7 +101,14 @@ void MotionMonitor::onTime(std::int64_t now)
   {
     std::ostringstream why;
     why << "no answer within " << options_.refinement.timeout << " s";
-    gate_.refused(why.str(), false);
+    if (claim_ && claim_->request)
+    {
+      refuseClaim(why.str());
+    }
+    else
+    {
+      gate_.refused(why.str(), false);
+    }
   }
   advance(now);
   gate_.tick(now);
@@ -123,6 +136,12 @@ void MotionMonitor::restart(const std::string& doubt)
   current_.reset();
   request_.reset();
   late_.reset();
+  latest_.reset();
+  if (claim_)
+  {
+    refuseClaim("exposures start again");
+  }
+  claim_refusal_.clear();
   took_ = {};
   last_seen_.reset();
   proposer_.restart();
@@ -151,6 +170,7 @@ std::optional<RefinementRequest> MotionMonitor::takeRequest()
 
 void MotionMonitor::advance(std::int64_t now)
 {
+  askClaimed(now);
   while (current_ || !waiting_.empty())
   {
     if (!current_)
@@ -366,7 +386,11 @@ void MotionMonitor::decide(std::int64_t now)
   decisions_.push_back(std::move(decision));
   if (current_->asked)
   {
-    late_ = std::move(current_->exposure);
+    late_ = exposure;
+  }
+  if (exposure.fault == MotionState::OK)
+  {
+    latest_ = Decided{ std::move(current_->exposure), std::move(current_->without) };
   }
   current_.reset();
 }

@@ -21,6 +21,8 @@ constexpr int kChainAgainstTracks = 3;
 /// vertebra, 18 mm in a neck, about.
 constexpr double kMaxFactor = 2.0;
 
+constexpr double kDegrees = 180.0 / EIGEN_PI;
+
 constexpr double kSigmas = 3.0;
 /// What two registrations of the same target are apart by that their covariances do not know of: twice the p95 of the
 /// field's best figures [mm].
@@ -149,6 +151,19 @@ RefinementRequest RefinementPolicy::ask(const RefinementSeed& exposure, bool unv
   return request;
 }
 
+RefinementRequest RefinementPolicy::askClaimed(std::int64_t stamp, const RigidTransform& room_from_patient,
+                                               std::int64_t now)
+{
+  if (pending_)
+  {
+    throw std::logic_error("a refinement is asked for while one is under way");
+  }
+  RefinementRequest request{ next_id_++, stamp, room_from_patient, true };
+  pending_ = Pending{ request.id, now, { stamp, room_from_patient, PoseCovariance::Zero(), 0.0 }, true };
+  ++requests_;
+  return request;
+}
+
 bool RefinementPolicy::tick(std::int64_t now)
 {
   if (!pending_ || 1e-9 * static_cast<double>(now - pending_->asked) <= options_.timeout)
@@ -194,7 +209,12 @@ RefinementPolicy::Judgement RefinementPolicy::judge(const RefinementReply& reply
   {
     throw std::logic_error("an answer to no request under way");
   }
-  const RefinementSeed exposure = std::exchange(pending_, std::nullopt)->exposure;
+  const Pending pending = *std::exchange(pending_, std::nullopt);
+  const RefinementSeed& exposure = pending.exposure;
+  if (pending.claimed)
+  {
+    return judgeClaimed(reply, exposure);
+  }
   Judgement judgement{ RefinementVerdict::ACCEPTED, fault(reply), std::nullopt };
   bool outvoted = false;
   if (!judgement.reason.empty())
@@ -240,9 +260,38 @@ RefinementPolicy::Judgement RefinementPolicy::judge(const RefinementReply& reply
   ++accepted_;
   anchor_ = reply.room_from_patient;
   not_before_ = 0;
+  judgement.refinement = Refinement{ exposure.stamp,
+                                     exposure.tracked ? std::make_optional(exposure.room_from_patient) : std::nullopt,
+                                     reply.room_from_patient,
+                                     reply.covariance,
+                                     outvoted,
+                                     false };
+  return judgement;
+}
+
+RefinementPolicy::Judgement RefinementPolicy::judgeClaimed(const RefinementReply& reply, const RefinementSeed& claim)
+{
+  Judgement judgement{ RefinementVerdict::ACCEPTED, fault(reply), std::nullopt };
+  if (judgement.reason.empty() && !excess(reply, claim, 1.0).empty())
+  {
+    const Twist correction = targetMotion(claim.room_from_patient, reply.room_from_patient, target_centre_);
+    judgement.reason =
+        compose("the registration finds the target ", correction.tail<3>().norm(), " mm and ",
+                kDegrees * correction.head<3>().norm(), " degrees from where it was stated to be, expected at most ",
+                options_.max_correction, " mm and ", kDegrees * options_.max_correction_rotation, " degrees");
+  }
+  if (!judgement.reason.empty())
+  {
+    judgement.verdict = RefinementVerdict::REFUSED;
+    ++refused_;
+    return judgement;
+  }
+  ++accepted_;
+  chain_ = Chain{ claim.stamp, reply.room_from_patient, reply.covariance, 1, 1, 0 };
+  anchor_ = reply.room_from_patient;
+  not_before_ = 0;
   judgement.refinement =
-      Refinement{ exposure.stamp, exposure.tracked ? std::make_optional(exposure.room_from_patient) : std::nullopt,
-                  reply.room_from_patient, reply.covariance, outvoted };
+      Refinement{ claim.stamp, std::nullopt, reply.room_from_patient, reply.covariance, false, true };
   return judgement;
 }
 

@@ -1,5 +1,6 @@
 #include "xray_tracking_motion_estimation/motion_monitor.h"
 
+#include <cmath>
 #include <functional>
 #include <string>
 #include <vector>
@@ -761,6 +762,184 @@ TEST_F(MonitorTest, IsDeterministic)
     return numbers;
   };
   EXPECT_EQ(run(), run());
+}
+
+/// The patient is 12 mm from where the setup says, which tracks cannot know; registrations from there find nothing.
+class ClaimTest : public MonitorTest
+{
+protected:
+  void SetUp() override
+  {
+    start();
+    for (int i = 0; i < 3; ++i)
+    {
+      unregistered({ 0.0, 0.0, 0.0 });
+    }
+  }
+
+  MotionDecision unregistered(const Eigen::Vector3d& motion)
+  {
+    expose(motion);
+    monitor->onReply(doubted(request().id), now);
+    return decision();
+  }
+
+  /// @return what is asked
+  RefinementRequest claim(const Eigen::Vector3d& where)
+  {
+    EXPECT_EQ(monitor->claim(moved(initialPose(), where), now), "");
+    return request();
+  }
+
+  void expectRefusal(const std::string& words)
+  {
+    const std::optional<ClaimOutcome> outcome = monitor->takeOutcome();
+    ASSERT_TRUE(outcome);
+    EXPECT_NE(outcome->refusal.find(words), std::string::npos) << outcome->refusal;
+  }
+
+  const Eigen::Vector3d truth{ 12.0, 0.0, 0.0 };
+};
+
+TEST_F(ClaimTest, ABelievedRegistrationConfirmsIt)
+{
+  EXPECT_FALSE(monitor->gate().verification().verified());
+  const RefinementRequest asked = claim({ 10.5, 1.0, 0.0 });
+  EXPECT_EQ(asked.stamp, stamp);
+  EXPECT_TRUE(asked.unverified);
+  EXPECT_LT((asked.room_from_patient.translation() - moved(initialPose(), { 10.5, 1.0, 0.0 }).translation()).norm(),
+            kExact);
+  EXPECT_FALSE(monitor->takeOutcome());
+  EXPECT_FALSE(monitor->gate().verification().verified());
+  monitor->onReply(believed(asked.id, truth), now);
+  const std::optional<ClaimOutcome> outcome = monitor->takeOutcome();
+  ASSERT_TRUE(outcome);
+  EXPECT_EQ(outcome->refusal, "");
+  EXPECT_EQ(outcome->stamp, stamp);
+  EXPECT_LT((outcome->room_from_patient.translation() - moved(initialPose(), truth).translation()).norm(), kExact);
+  EXPECT_TRUE(monitor->gate().verification().verified()) << monitor->gate().text();
+  EXPECT_FALSE(monitor->gate().open());
+  EXPECT_FALSE(monitor->takeDecision());  // each exposure once
+  // Tracks count from there, as do displacements from the planned place.
+  expectPose(unregistered({ 0.5, 0.0, 0.0 }), PoseSource::TRACKED, { 12.5, 0.0, 0.0 }, 1e-3);
+  for (int i = 0; i < 6; ++i)
+  {
+    EXPECT_EQ(monitor->gate().open(), i > 3) << monitor->gate().text();
+    expectPose(registered({ 0.5, 0.0, 0.0 }, truth), PoseSource::REGISTERED, { 12.5, 0.0, 0.0 }, kExact);
+  }
+}
+
+TEST_F(ClaimTest, ARefusedOneLeavesEverythingAsItWas)
+{
+  monitor->restart("");
+  trained.assign(2, { stamp + kInterval, Eigen::Vector3d::Zero() });
+  for (int i = 0; i < 6; ++i)
+  {
+    registered({ 0.0, 0.0, 0.0 });
+  }
+  ASSERT_TRUE(monitor->gate().open()) << monitor->gate().text();
+  const std::string before = monitor->gate().text();
+  monitor->onReply(doubted(claim(truth).id), now);
+  expectRefusal("the probability is 0.4");
+  // Believed, but elsewhere than was stated: to the next vertebra it is not far.
+  monitor->onReply(believed(claim(truth).id, truth + Eigen::Vector3d(5.1, 0.0, 0.0)), now);
+  expectRefusal("5.1 mm and 0 degrees from where it was stated");
+  RefinementReply nonsense = believed(claim(truth).id, truth);
+  nonsense.room_from_patient.translation().x() = std::nan("");
+  monitor->onReply(nonsense, now);
+  expectRefusal("not finite");
+  const RefinementRequest withdrawn = claim(truth);
+  monitor->withdrawClaim();
+  EXPECT_NE(monitor->claim(initialPose(), now), "");
+  monitor->onReply(believed(withdrawn.id, truth), now);
+  EXPECT_FALSE(monitor->takeOutcome());
+  EXPECT_EQ(monitor->gate().text(), before);
+  expectPose(unregistered({ 0.5, 0.0, 0.0 }), PoseSource::TRACKED, { 0.5, 0.0, 0.0 }, 1e-3);
+  EXPECT_TRUE(monitor->gate().open());
+  claim(truth);
+  monitor->onTime(now + 2100 * kMillisecond);
+  expectRefusal("no answer within 2 s");
+  EXPECT_TRUE(monitor->gate().verification().verified());
+}
+
+TEST_F(ClaimTest, AfterARefusedOneItTakesTwoInARow)
+{
+  monitor->onReply(doubted(claim(truth).id), now);
+  expectRefusal("0.4");
+  monitor->onReply(believed(claim(truth).id, truth), now);
+  EXPECT_EQ(monitor->takeOutcome()->refusal, "");
+  EXPECT_FALSE(monitor->gate().verification().verified());
+  EXPECT_NE(monitor->gate().text().find("stated"), std::string::npos) << monitor->gate().text();
+  expectPose(registered({ 0.0, 0.0, 0.0 }, truth), PoseSource::REGISTERED, truth, kExact);
+  EXPECT_TRUE(monitor->gate().verification().verified());
+}
+
+TEST_F(ClaimTest, ItWaitsForTheRegistrationThatIsUnderWay)
+{
+  expose({ 0.0, 0.0, 0.0 });
+  const RefinementRequest first = request();
+  EXPECT_EQ(monitor->claim(moved(initialPose(), truth), now), "");
+  EXPECT_FALSE(monitor->takeRequest());
+  monitor->onReply(doubted(first.id), now);
+  decision();
+  const RefinementRequest asked = request();
+  EXPECT_EQ(asked.stamp, stamp - kInterval);  // the latest that had been decided
+  // An exposure that comes meanwhile is registered from where the claim was confirmed.
+  expose({ 0.5, 0.0, 0.0 });
+  EXPECT_FALSE(monitor->takeRequest());
+  EXPECT_FALSE(monitor->takeDecision());
+  monitor->onReply(believed(asked.id, truth), now);
+  const RefinementRequest next = request();
+  EXPECT_EQ(next.stamp, stamp);
+  EXPECT_LT((next.room_from_patient * scene.targetCentre() - scene.target - Eigen::Vector3d(12.5, 0.0, 0.0)).norm(),
+            1e-3);
+  monitor->onReply(believed(next.id, { 12.5, 0.0, 0.0 }), now);
+  expectPose(decision(), PoseSource::REGISTERED, { 12.5, 0.0, 0.0 }, kExact);
+}
+
+TEST_F(ClaimTest, ViewsWhoseTemplatesThePoseDoesNotReachAreNotBelieved)
+{
+  // One view had lost its region when the claim was confirmed: what it counted from is void.
+  expose({ 0.0, 0.0, 0.0 }, loseFirst);
+  monitor->onReply(doubted(request().id), now);
+  decision();
+  monitor->onReply(believed(claim(truth).id, truth), now);
+  EXPECT_EQ(monitor->takeOutcome()->refusal, "");
+  expectNone(unregistered({ 0.0, 0.0, 0.0 }), MotionState::NO_REFERENCE, "detector_a was trained");
+}
+
+TEST_F(ClaimTest, WithoutTracksTheNextRegistrationIsConfirmedByIt)
+{
+  expose({ 0.0, 0.0, 0.0 }, loseAll);
+  monitor->onReply(doubted(request().id), now);
+  decision();
+  monitor->onReply(believed(claim({ 11.0, 0.0, 0.0 }).id, truth), now);
+  expose({ 0.2, 0.0, 0.0 }, loseAll);
+  const RefinementRequest next = request();
+  EXPECT_LT((next.room_from_patient.translation() - moved(initialPose(), truth).translation()).norm(), kExact);
+  monitor->onReply(believed(next.id, { 12.2, 0.0, 0.0 }), now);
+  expectPose(decision(), PoseSource::REGISTERED, { 12.2, 0.0, 0.0 }, kExact);
+}
+
+TEST_F(ClaimTest, WhatCannotBeLookedAtIsSaid)
+{
+  RigidTransform bad = initialPose();
+  bad.translation().y() = std::nan("");
+  EXPECT_NE(monitor->claim(bad, now).find("finite"), std::string::npos);
+  bad = initialPose();
+  bad.linear() *= 1.1;
+  EXPECT_NE(monitor->claim(bad, now).find("rotation"), std::string::npos);
+  EXPECT_FALSE(monitor->takeRequest());
+  claim(truth);
+  EXPECT_NE(monitor->claim(initialPose(), now).find("earlier"), std::string::npos);
+  monitor->restart("");
+  expectRefusal("start again");
+  EXPECT_NE(monitor->claim(initialPose(), now).find("no exposure"), std::string::npos);
+  options.method = PoseMethod::TRACKING;
+  options.refinement.mode = RefinementMode::NEVER;
+  start();
+  expose({ 0.0, 0.0, 0.0 });
+  EXPECT_NE(monitor->claim(initialPose(), now).find("never"), std::string::npos);
 }
 
 TEST_F(MonitorTest, OptionsAreChecked)

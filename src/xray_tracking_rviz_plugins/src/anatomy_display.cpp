@@ -30,8 +30,9 @@ namespace
 {
 using rviz::StatusProperty;
 
-constexpr double kOldPose = 2.0;     ///< from when on a pose is told as old [s]
-constexpr double kEllipsoid = 12.0;  ///< semi-axis that an ellipsoid has at least [mm]
+constexpr double kOldPose = 2.0;        ///< from when on a pose is told as old [s]
+constexpr double kAlignmentLife = 1.5;  ///< of a pose that is being tried out by hand [s]
+constexpr double kEllipsoid = 12.0;     ///< semi-axis that an ellipsoid has at least [mm]
 const Ogre::ColourValue kGhost(0.25F, 0.95F, 0.55F);
 
 Ogre::Vector3 metres(const Eigen::Vector3d& point)
@@ -109,6 +110,7 @@ AnatomyDisplay::~AnatomyDisplay()
 {
   pose_subscriber_.shutdown();
   truth_subscriber_.shutdown();
+  alignment_subscriber_.shutdown();
   if (initialized())
   {
     bone_surface_.reset();
@@ -156,12 +158,14 @@ void AnatomyDisplay::onEnable()
   watch_ = std::make_unique<RoomWatch>(update_nh_);
   pose_subscriber_ = update_nh_.subscribe("patient_pose", 1, &AnatomyDisplay::poseCb, this);
   truth_subscriber_ = update_nh_.subscribe("patient_ground_truth", 1, &AnatomyDisplay::truthCb, this);
+  alignment_subscriber_ = update_nh_.subscribe("alignment_pose", 1, &AnatomyDisplay::alignmentCb, this);
 }
 
 void AnatomyDisplay::onDisable()
 {
   pose_subscriber_.shutdown();
   truth_subscriber_.shutdown();
+  alignment_subscriber_.shutdown();
   watch_.reset();
 }
 
@@ -170,6 +174,7 @@ void AnatomyDisplay::reset()
   rviz::Display::reset();
   pose_.reset();
   truth_message_.reset();
+  alignment_.reset();
 }
 
 void AnatomyDisplay::poseCb(const geometry_msgs::PoseWithCovarianceStamped::ConstPtr& message)
@@ -182,6 +187,12 @@ void AnatomyDisplay::truthCb(const geometry_msgs::PoseStamped::ConstPtr& message
 {
   truth_message_ = message;
   truth_arrival_ = ros::SteadyTime::now();
+}
+
+void AnatomyDisplay::alignmentCb(const geometry_msgs::PoseStamped::ConstPtr& message)
+{
+  alignment_ = message;
+  alignment_arrival_ = ros::SteadyTime::now();
 }
 
 void AnatomyDisplay::updateLook()
@@ -230,7 +241,7 @@ void AnatomyDisplay::followRoom()
       update_nh_.getParamCached("detector_simulator/source", source);
     }
     phantom_ = source == "phantom" || setup_->ct_path.empty();
-    loader_->load({ phantom_, setup_->ct_path, setup_->ct_content, setup_->target_box });
+    loader_->load({ phantom_, setup_->ct_path, setup_->ct_content, setup_->target_box, setup_->ct_choice });
     wanted_ = false;
   }
   const std::string what = phantom_ ? "the neck phantom" : setup_->ct_path;
@@ -310,6 +321,15 @@ bool AnatomyDisplay::placeRoom()
 
 void AnatomyDisplay::placePatient()
 {
+  if (alignment_ && age(alignment_arrival_) < kAlignmentLife)
+  {
+    if (const std::optional<RigidTransform> tried = rigidOf(alignment_->pose))
+    {
+      place(patient_node_, *tried);
+      setStatusStd(StatusProperty::Warn, "Pose", "as it is being aligned by hand, not the patient's");
+      return;
+    }
+  }
   // The pose itself and not the last transform of tf, which does not say how old it is.
   const std::optional<RigidTransform> pose = pose_ ? rigidOf(pose_->pose.pose) : std::nullopt;
   place(patient_node_, pose ? *pose : setup_->room_from_patient);

@@ -63,6 +63,7 @@ private:
   /// Room to the fixed frame. @return false, with a status, if that is not known
   bool placeRoom();
   void poseCb(const geometry_msgs::PoseWithCovarianceStamped::ConstPtr& message);
+  void alignmentCb(const geometry_msgs::PoseStamped::ConstPtr& message);
   void truthCb(const geometry_msgs::PoseStamped::ConstPtr& message);
 
   rviz::BoolProperty *bones_, *target_, *box_, *truth_, *ellipsoid_;
@@ -86,9 +87,10 @@ private:
   bool wanted_ = false;  ///< anatomy has to be made of the setup
   float since_room_ = 1.0F;
 
-  ros::Subscriber pose_subscriber_, truth_subscriber_;
+  ros::Subscriber pose_subscriber_, truth_subscriber_, alignment_subscriber_;
   geometry_msgs::PoseWithCovarianceStamped::ConstPtr pose_;
   geometry_msgs::PoseStamped::ConstPtr truth_message_;
-  ros::SteadyTime pose_arrival_, truth_arrival_;
+  geometry_msgs::PoseStamped::ConstPtr alignment_;
+  ros::SteadyTime pose_arrival_, truth_arrival_, alignment_arrival_;
 };
 }  // namespace xray_tracking

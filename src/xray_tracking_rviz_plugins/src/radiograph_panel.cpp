@@ -26,8 +26,9 @@ using xray_tracking_msgs::RenderViews;
 
 constexpr int kRefreshPeriod = 33;                          // [ms]
 constexpr std::chrono::milliseconds kRenderingPeriod(100);  // at least
+constexpr std::chrono::milliseconds kAlignmentPeriod(50);   // the same while somebody aligns the CT by hand
 const ros::WallDuration kRenderingTime(5.0);                // then it is given up
-constexpr std::chrono::milliseconds kAlignmentLife(600);    // of an alignment pose
+constexpr std::chrono::milliseconds kAlignmentLife(1500);   // of an alignment pose
 constexpr double kRenderingLife = 1.0;                      // behind the newest pose [s]
 constexpr std::uint32_t kRenderingSize = 256;
 
@@ -57,6 +58,7 @@ std::shared_ptr<const Rendering> renderingOf(const xray_tracking_msgs::RenderedV
 
 RadiographPanel::RadiographPanel(QWidget* parent) : rviz::Panel(parent)
 {
+  setAttribute(Qt::WA_StyledBackground);
   setStyleSheet(look::styleSheet());
   auto* layout = new QVBoxLayout(this);
   layout->setContentsMargins(6, 6, 6, 6);
@@ -136,6 +138,10 @@ void RadiographPanel::onInitialize()
       [this](const auto& message) { poses_.add(message); };
   const boost::function<void(const geometry_msgs::PoseStampedConstPtr&)> alignment = [this](const auto& message)
   {
+    if (!aligning() && overlay() == Overlay::NONE)
+    {
+      overlay_box_->setCurrentIndex(static_cast<int>(Overlay::BLEND));  // or nothing would be seen of it
+    }
     alignment_ = message;
     alignment_came_ = std::chrono::steady_clock::now();
   };
@@ -309,7 +315,8 @@ void RadiographPanel::askForRendering()
     renderer_->cancelAfter(kRenderingTime);
     return;
   }
-  if (overlay() == Overlay::NONE || now - asked_at_ < kRenderingPeriod || (!aligning() && poses_.empty()))
+  if (overlay() == Overlay::NONE || now - asked_at_ < (aligning() ? kAlignmentPeriod : kRenderingPeriod) ||
+      (!aligning() && poses_.empty()))
   {
     return;
   }

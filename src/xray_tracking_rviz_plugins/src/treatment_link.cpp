@@ -105,7 +105,6 @@ TreatmentLink::TreatmentLink(const ros::NodeHandle& nh)
       nh_, "registration/load_volume",
       [this](const std::optional<xray_tracking_msgs::LoadVolume::Response>& response, const std::string& why)
       { end(Command::LOAD_CT, response && response->success, response ? response->message : why); });
-  refiner_ = std::make_unique<Client>(nh_, "registration/refine_pose", false);
   spinner_ = std::make_unique<ros::AsyncSpinner>(1, &queue_);
   spinner_->start();
   watcher_ = std::thread([this] { watch(); });
@@ -267,6 +266,12 @@ void TreatmentLink::watch()
 
 void TreatmentLink::watchOnce()
 {
+  if (!refiner_ && ros::Time::isValid())
+  {
+    auto made = std::make_unique<Client>(nh_, "registration/refine_pose", false);
+    const std::lock_guard<std::mutex> lock(mutex_);
+    refiner_ = std::move(made);
+  }
   const std::string prefix = nh_.resolveName("x").substr(0, nh_.resolveName("x").size() - 1);
   for (const std::string& topic : topicsOf("xray_tracking_msgs/TrackedRegion"))
   {
@@ -306,7 +311,7 @@ void TreatmentLink::watchOnce()
   wants[static_cast<std::size_t>(Command::LOAD_CT)] = missing({ "registration/load_volume" });
   const bool registration = wants[static_cast<std::size_t>(Command::LOAD_CT)].empty();
   wants[static_cast<std::size_t>(Command::REFINE)] =
-      refiner_->isServerConnected() && registration ? "" : "the registration is not running";
+      refiner_ && refiner_->isServerConnected() && registration ? "" : "the registration is not running";
 
   const auto parameter = [&](const char* name, double fallback)
   {
@@ -507,7 +512,8 @@ void TreatmentLink::refine()
     }
     refine_began_ = now();
   }
-  if (!refiner_->isServerConnected())
+  Client* const client = refiner();
+  if (client == nullptr || !client->isServerConnected())
   {
     end(Command::REFINE, false, "the registration is not running");
     return;
@@ -536,7 +542,7 @@ void TreatmentLink::sendGoal()
     }
     goal.request.seed = *pose_;
   }
-  refiner_->sendGoal(
+  refiner()->sendGoal(
       goal,
       [this](const actionlib::SimpleClientGoalState& state, const xray_tracking_msgs::RefinePoseResultConstPtr& result)
       { refineDone(state, result); },
@@ -609,6 +615,6 @@ void TreatmentLink::cancelRefinement()
     end(Command::REFINE, false, "cancelled");
     return;
   }
-  refiner_->cancelGoal();
+  refiner()->cancelGoal();
 }
 }  // namespace xray_tracking

@@ -136,6 +136,12 @@ private:
   void refineDone(const actionlib::SimpleClientGoalState& state,
                   const xray_tracking_msgs::RefinePoseResultConstPtr& result);
   void sendGoal();
+  /// None so far, or what stays.
+  Client* refiner() const
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    return refiner_.get();
+  }
 
   /// Asks the master what there is, again and again.
   void watch();
@@ -177,7 +183,7 @@ private:
   std::unique_ptr<ServiceCaller<std_srvs::SetBool>> hold_;
   std::unique_ptr<ServiceCaller<Trigger>> restart_, refine_next_;
   std::unique_ptr<ServiceCaller<xray_tracking_msgs::LoadVolume>> load_volume_;
-  std::unique_ptr<Client> refiner_;
+  std::unique_ptr<Client> refiner_;  ///< made by the watcher once there is time: it would wait for that
   std::unique_ptr<ros::AsyncSpinner> spinner_;
   bool stop_ = false;
   std::condition_variable stopping_;

@@ -220,6 +220,10 @@ QWidget* TreatmentPanel::makeButtons()
   load_ = button("Load CT ...", "load", "Another CT for the registration");
   record_ = button("Record", "record", "Records the run into a bag of its own");
   record_->setCheckable(true);
+  for (QPushButton* asks : { refine_, train_, reset_, load_ })
+  {
+    asks->setEnabled(false);  // until somebody is found who can be asked
+  }
   return box;
 }
 

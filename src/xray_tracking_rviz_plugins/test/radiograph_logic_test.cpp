@@ -3,6 +3,7 @@
 
 #include <boost/make_shared.hpp>
 
+#include "alignment.h"
 #include "detector_view.h"
 #include "radiograph_feed.h"
 #include "room_watch.h"
@@ -167,6 +168,45 @@ TEST(ProjectedBox, HasTwelveEdgesWhereTheDetectorSeesThem)
   EXPECT_NEAR(upper, 149.5 - 20.0 * 4000.0 / 1470.0, 1e-9);
   pose.translation() = Eigen::Vector3d(0.0, 0.0, 5000.0);
   EXPECT_TRUE(projectedBox(overhead, pose, box).empty());
+}
+
+TEST(Alignment, ShiftsAndTurnsTheTargetAboutItsCentre)
+{
+  RigidTransform start = RigidTransform::Identity();
+  start.linear() = Eigen::Quaterniond(0.5, 0.5, -0.5, 0.5).toRotationMatrix();
+  start.translation() = Eigen::Vector3d(100.0, -200.0, 300.0);
+  const Eigen::Vector3d centre(300.0, 250.0, -400.0);
+  Alignment alignment(start, centre);
+  EXPECT_TRUE(alignment.pose().isApprox(start, 1e-12));
+  // A turn moves no target, however far the origin is from it.
+  alignment.turnBy({ 0.0, 0.0, 0.1 });
+  EXPECT_LT((alignment.pose() * centre - start * centre).norm(), 1e-9);
+  const Eigen::Matrix3d about_z = Eigen::AngleAxisd(0.1, Eigen::Vector3d::UnitZ()).toRotationMatrix();
+  EXPECT_TRUE(alignment.pose().linear().isApprox(about_z * start.linear(), 1e-12));
+  // Along the room's axes, turned as it is.
+  alignment.shiftBy({ 1.0, 2.0, -3.0 });
+  EXPECT_LT((alignment.pose() * centre - start * centre - Eigen::Vector3d(1.0, 2.0, -3.0)).norm(), 1e-9);
+  EXPECT_TRUE(alignment.turnVector().isApprox(Eigen::Vector3d(0.0, 0.0, 0.1), 1e-9));
+  // Thousands of steps leave a rotation.
+  for (int i = 0; i < 5000; ++i)
+  {
+    alignment.turnBy({ 0.01, -0.02, 0.03 });
+  }
+  EXPECT_TRUE(isRigid(alignment.pose()));
+  EXPECT_LT((alignment.pose() * centre - start * centre - Eigen::Vector3d(1.0, 2.0, -3.0)).norm(), 1e-6);
+}
+
+TEST(Alignment, WhatIsNoPlaceChangesNothing)
+{
+  Alignment alignment(RigidTransform::Identity(), Eigen::Vector3d(1.0, 2.0, 3.0));
+  const double nan = std::nan("");
+  alignment.place({ nan, 0.0, 0.0 }, Eigen::Quaterniond::Identity());
+  alignment.place({ 5.0, 0.0, 0.0 }, Eigen::Quaterniond(0.0, 0.0, 0.0, 0.0));
+  alignment.place({ 5.0, 0.0, 0.0 }, Eigen::Quaterniond(nan, 0.0, 0.0, 0.0));
+  alignment.shiftBy({ 0.0, std::numeric_limits<double>::infinity(), 0.0 });
+  alignment.turnBy({ 0.0, nan, 0.0 });
+  EXPECT_TRUE(alignment.pose().isApprox(RigidTransform::Identity(), 0.0));
+  EXPECT_EQ(alignment.shift(), Eigen::Vector3d::Zero());
 }
 }  // namespace
 }  // namespace xray_tracking

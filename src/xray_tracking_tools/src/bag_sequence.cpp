@@ -6,21 +6,26 @@
 #include <filesystem>
 #include <fstream>
 #include <map>
+#include <optional>
 #include <stdexcept>
 #include <utility>
 #include <vector>
 
-#include <cv_bridge/cv_bridge.h>
 #include <geometry_msgs/PoseStamped.h>
+#include <sensor_msgs/CompressedImage.h>
 #include <sensor_msgs/Image.h>
 #include <opencv2/imgcodecs.hpp>
 
 #include "xray_tracking_conversions/conversions.h"
+#include "xray_tracking_conversions/image_pixels.h"
+#include "xray_tracking_core/sequence/sequence.h"
 
 namespace xray_tracking
 {
 namespace
 {
+constexpr auto kTolerance = static_cast<std::int64_t>(kPairingTolerance * 1e9);
+
 std::string stampText(std::int64_t ns)
 {
   char text[40];
@@ -62,12 +67,12 @@ public:
     const auto view = recording_.messages(
         [](const rosbag::ConnectionInfo* connection)
         {
-          const std::string name = lastName(connection->topic);
+          const std::string name = lastName(rawTopic(connection->topic));
           return name == "image_raw" || name == "camera_info" || name == "patient_ground_truth";
         });
     for (const rosbag::MessageInstance& instance : *view)
     {
-      const std::string detector = detectorOf(instance.getTopic());
+      const std::string detector = detectorOf(rawTopic(instance.getTopic()));
       if (const auto truth = instance.instantiate<geometry_msgs::PoseStamped>())
       {
         rigidFromPoseMsg(truth->pose);
@@ -87,7 +92,11 @@ public:
       }
       else if (const auto image = instance.instantiate<sensor_msgs::Image>())
       {
-        writeImage(detector, instance.getTopic(), image);
+        writeImage(detector, instance.getTopic(), image->header.stamp, pixelsFromMsg(*image));
+      }
+      else if (const auto compressed = instance.instantiate<sensor_msgs::CompressedImage>())
+      {
+        writeImage(detector, instance.getTopic(), compressed->header.stamp, pixelsFromMsg(*compressed));
       }
     }
     return writeTables();
@@ -111,16 +120,11 @@ private:
     return ns;
   }
 
-  void writeImage(const std::string& detector, const std::string& topic, const sensor_msgs::ImageConstPtr& message)
+  void writeImage(const std::string& detector, const std::string& topic, const ros::Time& stamp, const cv::Mat& image)
   {
-    const std::int64_t stamp_ns = sequenceStamp(message->header.stamp);
+    const std::int64_t stamp_ns = sequenceStamp(stamp);
     const std::string where = topic + " at " + stampText(stamp_ns) + " s: ";
-    const cv::Mat image = cv_bridge::toCvShare(message)->image;
     const Eigen::Vector2i& size = setup_.detector(detector).imageSize();
-    if (image.type() != CV_8UC1 && image.type() != CV_16UC1)
-    {
-      throw std::runtime_error(where + "encoding is " + message->encoding + ", expected mono16 or mono8");
-    }
     if (image.cols != size.x() || image.rows != size.y())
     {
       throw std::runtime_error(where + "is " + std::to_string(image.cols) + " x " + std::to_string(image.rows) +
@@ -144,25 +148,48 @@ private:
     std::string frames = "stamp_s,detector,file\n";
     std::string gold = "stamp_s,tx_mm,ty_mm,tz_mm,qx,qy,qz,qw\n";
     result.gold_standard = !gold_standard_.empty();
-    for (const auto& [stamp_ns, files] : frames_)
+    for (auto at = frames_.begin(); at != frames_.end();)
     {
-      if (files.size() < setup_.detectors.size())
+      // As loadSequence() pairs them: of detectors apart, within a few milliseconds.
+      std::map<std::string, std::pair<std::int64_t, std::string>> views;
+      std::optional<std::string> pose;
+      const std::int64_t first = at->first;
+      const auto fits = [&](const std::map<std::string, std::string>& files) {
+        return std::none_of(files.begin(), files.end(), [&](const auto& file) { return views.count(file.first) != 0; });
+      };
+      for (; at != frames_.end() && at->first - first <= kTolerance && fits(at->second); ++at)
+      {
+        for (const auto& [detector, file] : at->second)
+        {
+          views[detector] = { at->first, file };
+        }
+        const auto truth = gold_standard_.find(at->first);
+        if (truth != gold_standard_.end() && !pose)
+        {
+          pose = stampText(at->first) + "," + truth->second + "\n";
+        }
+      }
+      if (views.size() < setup_.detectors.size())
       {
         ++result.incomplete;
-        for (const auto& [detector, file] : files)
+        for (const auto& [detector, view] : views)
         {
-          std::filesystem::remove(folder_ / file);
+          std::filesystem::remove(folder_ / view.second);
         }
         continue;
       }
       ++result.exposures;
-      for (const ProjectionGeometry& detector : setup_.detectors)
+      std::multimap<std::int64_t, std::string> rows;
+      for (const auto& [detector, view] : views)
       {
-        frames += stampText(stamp_ns) + "," + detector.name() + "," + files.at(detector.name()) + "\n";
+        rows.emplace(view.first, stampText(view.first) + "," + detector + "," + view.second + "\n");
       }
-      const auto pose = gold_standard_.find(stamp_ns);
-      result.gold_standard = result.gold_standard && pose != gold_standard_.end();
-      gold += result.gold_standard ? stampText(stamp_ns) + "," + pose->second + "\n" : "";
+      for (const auto& [stamp_ns, row] : rows)
+      {
+        frames += row;
+      }
+      result.gold_standard = result.gold_standard && pose.has_value();
+      gold += pose.value_or("");
     }
     if (result.exposures == 0)
     {

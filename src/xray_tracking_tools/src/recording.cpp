@@ -142,9 +142,9 @@ std::string ctFingerprint(const std::string& ct_path)
   return text;
 }
 
-Recording::Recording(const std::string& path) : path_(path)
+Recording::Recording(const std::string& path) : path_(path), files_(partsOf(path))
 {
-  for (const std::string& part : partsOf(path))
+  for (const std::string& part : files_)
   {
     try
     {
@@ -217,6 +217,11 @@ TreatmentSetup Recording::setup(const std::string& setup_path) const
                              "), expected --setup SETUP.yaml");
   }
   return treatmentSetupFromText(description_->setup, path_ + " (its own setup)");
+}
+
+std::string rawTopic(const std::string& topic)
+{
+  return lastName(topic) == "compressed" ? topic.substr(0, topic.rfind('/')) : topic;
 }
 
 std::string lastName(const std::string& topic)

@@ -26,12 +26,11 @@ namespace
 /// that a player that begins anew there leaves time for the last one.
 void writeDescription(const Sequence& sequence, rosbag::Bag& bag)
 {
-  RunDescription description = describeRun(sequence.directory + "/sequence.yaml");
+  RunDescription description = describeRun(sequence.tables.front());
   description.epoch_ns = kPlaybackEpochNs;
-  const std::string gold_standard = goldStandardPath(sequence.directory);
-  if (!gold_standard.empty())
+  if (!sequence.gold_standard.empty())
   {
-    std::ifstream file(gold_standard, std::ios::binary);
+    std::ifstream file(sequence.tables.back(), std::ios::binary);
     description.gold_standard = { std::istreambuf_iterator<char>(file), std::istreambuf_iterator<char>() };
   }
   std_msgs::String message;
@@ -65,7 +64,7 @@ void writeExposures(const Sequence& sequence, rosbag::Bag& bag,
     for (std::size_t d = 0; d < camera_infos.size(); ++d)
     {
       const ProjectionGeometry& detector = sequence.setup.detectors[d];
-      const cv::Mat image = readXrayImage(exposure.files[d], detector.imageSize());
+      const cv::Mat image = readXrayImage(exposure.files[d], detector, sequence.setup.intensity);
       camera_infos[d].header.stamp = stamp;
       bag.write("/" + detector.name() + "/camera_info", stamp, camera_infos[d]);
       bag.write("/" + detector.name() + "/image_raw", stamp, imageMessage(image, detector.name(), stamp));

@@ -205,9 +205,9 @@ void expectSame(const Sequence& a, const Sequence& b)
     EXPECT_TRUE(same_pose(a.gold_standard[k].room_from_patient, b.gold_standard[k].room_from_patient)) << k;
     for (std::size_t d = 0; d < a.setup.detectors.size(); ++d)
     {
-      const Eigen::Vector2i& size = a.setup.detectors[d].imageSize();
-      EXPECT_EQ(0, cv::norm(readXrayImage(a.exposures[k].files[d], size), readXrayImage(b.exposures[k].files[d], size),
-                            cv::NORM_INF));
+      const auto read = [&](const Sequence& sequence)
+      { return readXrayImage(sequence.exposures[k].files[d], sequence.setup.detectors[d], sequence.setup.intensity); };
+      EXPECT_EQ(0, cv::norm(read(a), read(b), cv::NORM_INF));
     }
   }
 }
@@ -273,7 +273,7 @@ TEST(BagSequence, TakesWhatIsComplete)
     bag.close();
   }
   const Recording recording(folder.file("r_0.bag"));
-  EXPECT_EQ(2u, recording.parts());
+  EXPECT_EQ(2u, recording.files().size());
   EXPECT_THROW(writeSequenceFolder(recording, "", folder.file("none")), std::runtime_error);
   EXPECT_FALSE(std::filesystem::exists(folder.file("none")));
   const ExtractedSequence extracted =
@@ -283,7 +283,8 @@ TEST(BagSequence, TakesWhatIsComplete)
   const Sequence sequence = loadSequence(folder.file("sequence"));
   ASSERT_EQ(3u, sequence.exposures.size());
   EXPECT_EQ(1600000002000000007, sequence.exposures[1].stamp_ns);
-  EXPECT_EQ(21, readXrayImage(sequence.exposures[1].files[1], { kColumns, kRows }).at<std::uint16_t>(3, 3));
+  EXPECT_EQ(21, readXrayImage(sequence.exposures[1].files[1], sequence.setup.detectors[1], sequence.setup.intensity)
+                    .at<std::uint16_t>(3, 3));
   EXPECT_DOUBLE_EQ(100.0 + 2.0 / 3.0, sequence.gold_standard[1].room_from_patient.translation().x());
   EXPECT_EQ(6, std::distance(std::filesystem::directory_iterator(folder.file("sequence")), {}) - 3);
 }

@@ -148,35 +148,46 @@ void checkComplete(const TreatmentSetup& setup, const Exposure& exposure, const 
   {
     if (exposure.files[i].empty())
     {
-      throw std::runtime_error(where + ": the exposure before this has no image of " + setup.detectors[i].name());
+      throw std::runtime_error(where + ": the exposure before this has no image of " + setup.detectors[i].name() +
+                               " (are stamps of one exposure farther apart than pairing_tolerance in sequence.yaml?)");
     }
   }
 }
 
-std::vector<Exposure> pairExposures(const TreatmentSetup& setup, const std::vector<FrameRow>& rows)
+/// Rows whose stamps are at most `tolerance` [ns] from that of the first row of an exposure belong to it, unless it has
+/// an image of their detector already. The exposure's stamp is that of the first detector.
+std::vector<Exposure> pairExposures(const TreatmentSetup& setup, const std::vector<FrameRow>& rows,
+                                    std::int64_t tolerance)
 {
   std::vector<Exposure> exposures;
+  std::int64_t first = 0;
   for (const FrameRow& row : rows)
   {
-    if (exposures.empty() || row.stamp_ns > exposures.back().stamp_ns)
+    const std::int64_t stamp = row.stamp_ns;
+    const std::size_t detector = detectorIndex(setup, row);
+    const bool near = !exposures.empty() && std::abs(stamp - first) <= tolerance;
+    if (!exposures.empty() && !near && stamp < first)
+    {
+      throw std::runtime_error(row.where + ": stamp_s " + secondsText(stamp) +
+                               " is before that of the line above: expected stamps that grow");
+    }
+    if (!near || (stamp > first && !exposures.back().files[detector].empty()))
     {
       if (!exposures.empty())
       {
         checkComplete(setup, exposures.back(), row.where);
       }
-      exposures.push_back({ row.stamp_ns, std::vector<std::string>(setup.detectors.size()) });
+      exposures.push_back({ stamp, std::vector<std::string>(setup.detectors.size()) });
+      first = stamp;
     }
-    else if (row.stamp_ns < exposures.back().stamp_ns)
+    if (detector == 0)
     {
-      throw std::runtime_error(row.where + ": stamp_s " + secondsText(row.stamp_ns) +
-                               " is before that of the line above: expected stamps that grow");
+      exposures.back().stamp_ns = stamp;
     }
-    const std::size_t detector = detectorIndex(setup, row);
     std::string& file = exposures.back().files[detector];
     if (!file.empty())
     {
-      throw std::runtime_error(row.where + ": a second image of " + row.detector + " at " + secondsText(row.stamp_ns) +
-                               " s");
+      throw std::runtime_error(row.where + ": a second image of " + row.detector + " at " + secondsText(stamp) + " s");
     }
     file = row.file;
     if (!std::filesystem::is_regular_file(file))
@@ -188,21 +199,27 @@ std::vector<Exposure> pairExposures(const TreatmentSetup& setup, const std::vect
   return exposures;
 }
 
-/// The poses at the exposures; the table may hold further ones in between.
-std::vector<StampedPose> readGoldStandard(const std::vector<Exposure>& exposures, const std::filesystem::path& path)
+/// The poses nearest to the exposures, within the tolerance [ns]; the table may hold further ones in between.
+std::vector<StampedPose> readGoldStandard(const std::vector<Exposure>& exposures, const std::filesystem::path& path,
+                                          std::int64_t tolerance)
 {
+  const std::vector<StampedPose> table = loadPoses(path.string());
   std::vector<StampedPose> poses;
-  for (const StampedPose& pose : loadPoses(path.string()))
+  for (const Exposure& exposure : exposures)
   {
-    if (poses.size() < exposures.size() && exposures[poses.size()].stamp_ns == pose.stamp_ns)
+    const auto away = [&](const StampedPose& pose) { return std::abs(pose.stamp_ns - exposure.stamp_ns); };
+    auto nearest = std::lower_bound(table.begin(), table.end(), exposure.stamp_ns,
+                                    [](const StampedPose& pose, std::int64_t stamp) { return pose.stamp_ns < stamp; });
+    if (nearest != table.begin() && (nearest == table.end() || away(*std::prev(nearest)) < away(*nearest)))
     {
-      poses.push_back(pose);
+      --nearest;
     }
-  }
-  if (poses.size() < exposures.size())
-  {
-    throw std::runtime_error(path.string() + ": no pose for the exposure at " +
-                             secondsText(exposures[poses.size()].stamp_ns) + " s");
+    if (nearest == table.end() || away(*nearest) > tolerance)
+    {
+      throw std::runtime_error(path.string() + ": no pose for the exposure at " + secondsText(exposure.stamp_ns) +
+                               " s");
+    }
+    poses.push_back({ exposure.stamp_ns, nearest->room_from_patient });
   }
   return poses;
 }
@@ -261,14 +278,28 @@ std::string goldStandardPath(const std::string& directory)
 
 Sequence loadSequence(const std::string& directory)
 {
+  const std::filesystem::path folder = std::filesystem::absolute(directory);
+  const std::string path = (folder / "sequence.yaml").string();
   Sequence sequence;
-  sequence.directory = std::filesystem::absolute(directory).string();
-  sequence.setup = loadTreatmentSetup((std::filesystem::path(sequence.directory) / "sequence.yaml").string());
-  sequence.exposures = pairExposures(sequence.setup, loadFrameTable(directory));
+  sequence.setup = loadTreatmentSetup(path);
+  const YamlField root = YamlField::fromFile(path);
+  double tolerance_s = kPairingTolerance;
+  if (const auto tolerance = root.find("pairing_tolerance"))
+  {
+    tolerance_s = tolerance->number<double>();
+    if (!(tolerance_s >= 0.0 && tolerance_s <= 1.0))
+    {
+      tolerance->fail("0 to 1 s, less than half the time between exposures");
+    }
+  }
+  const auto tolerance_ns = static_cast<std::int64_t>(std::llround(tolerance_s * 1e9));
+  sequence.tables = { path, (folder / root.get("frames").text()).string() };
+  sequence.exposures = pairExposures(sequence.setup, loadFrameTable(directory), tolerance_ns);
   const std::string gold_standard = goldStandardPath(directory);
   if (!gold_standard.empty())
   {
-    sequence.gold_standard = readGoldStandard(sequence.exposures, gold_standard);
+    sequence.tables.push_back(gold_standard);
+    sequence.gold_standard = readGoldStandard(sequence.exposures, gold_standard, tolerance_ns);
   }
   return sequence;
 }

@@ -63,7 +63,8 @@ public:
   /// The pose of an exposure, which later templates may be learnt from.
   void add(const TrackedExposure& exposure, const RigidTransform& room_from_patient, bool registered);
 
-  /// From here on motion counts from the refined pose, and the tracks of the views in `exposure` from there.
+  /// From here on motion counts from the refined pose, and the tracks of the views in `exposure` from there. If that
+  /// pose was claimed, all others are forgotten.
   /// @param exposure the refined one
   /// @throws std::invalid_argument if the pose is of no use, whereupon nothing is changed
   void accept(const Refinement& refinement, const TrackedExposure& exposure);

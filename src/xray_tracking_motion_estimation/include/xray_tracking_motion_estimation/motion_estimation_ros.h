@@ -23,6 +23,7 @@
 
 #include "xray_tracking_conversions/service_caller.h"
 #include "xray_tracking_core/sequence/treatment_setup.h"
+#include "xray_tracking_motion_estimation/alignment_server.h"
 #include "xray_tracking_motion_estimation/beam_gate_publisher.h"
 #include "xray_tracking_motion_estimation/exposure_assembler.h"
 #include "xray_tracking_motion_estimation/geometry_watch.h"
@@ -115,6 +116,7 @@ private:
   ros::ServiceServer restart_server_;
   ros::ServiceServer hold_beam_server_;
   ros::Subscriber operator_subscriber_;
+  std::unique_ptr<AlignmentServer> alignment_server_;
   std::uint64_t asked_ = 0;                   ///< the request that the registration is at
   std::optional<RefinementRequest> waiting_;  ///< the one that it is asked next
   std::unique_ptr<ServiceCaller<RefinePose>> registration_;

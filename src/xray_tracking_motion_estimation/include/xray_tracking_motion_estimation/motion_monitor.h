@@ -20,6 +20,14 @@
 
 namespace xray_tracking
 {
+/// What became of a pose that somebody stated.
+struct ClaimOutcome
+{
+  std::string refusal;                                            ///< why it is not accepted; empty if it is
+  std::int64_t stamp = 0;                                         ///< of the exposure that was registered [ns]
+  RigidTransform room_from_patient = RigidTransform::Identity();  ///< the registered pose, if it is accepted
+};
+
 /// What is known of the patient's pose, without ROS and without a clock of its own: exposures, answers of the
 /// registration and the time come in, decisions go out. Each exposure gets one decision, in the order in which they
 /// came: at once, or, where the method wants a registered pose, when its registration has been answered or its deadline
@@ -55,9 +63,20 @@ public:
   /// The next exposure is to be refined. @return false if registrations are never asked for
   bool demandRefinement() { return refinement_.demand(); }
 
+  /// Somebody states where the patient is. That is a claim, as the initial pose is one: the latest exposure is
+  /// registered from there as soon as the registration is free. If that is believed, and within the bounds of a
+  /// correction, motion counts from the registered pose, and all that was known before is void, whatever tracks have
+  /// said; else nothing changes. After a refused claim it takes two registrations in a row to verify one.
+  /// @param now monotonic clock [ns]
+  /// @return why it cannot be looked at; empty if it is, whereupon an outcome will come
+  std::string claim(const RigidTransform& room_from_patient, std::int64_t now);
+  /// The claim that is being looked at, if there is one, counts for nothing; no outcome comes.
+  void withdrawClaim();
+
   // What has come out; each is to be taken until there is none.
   std::optional<MotionDecision> takeDecision();
   std::optional<RefinementRequest> takeRequest();
+  std::optional<ClaimOutcome> takeOutcome();
   std::optional<RegionProposal> takeProposal() { return proposer_.take(); }
 
   /// Where the patient is expected to be. @param stamp [ns]
@@ -81,6 +100,21 @@ private:
     std::optional<Refinement> refinement;
   };
 
+  /// An exposure that was decided.
+  struct Decided
+  {
+    TrackedExposure exposure;
+    std::vector<bool> without;  ///< as Current's
+  };
+
+  struct Claim
+  {
+    RigidTransform room_from_patient;
+    TrackedExposure exposure;              ///< the registered one, once it is asked
+    std::optional<std::uint64_t> request;  ///< nothing before
+    bool withdrawn = false;                ///< its answer is waited for, as one that was broken off would fail the next
+  };
+
   /// Decides as far as it goes.
   void advance(std::int64_t now);
   void begin(std::int64_t now);
@@ -88,6 +122,12 @@ private:
   std::int64_t deadline() const;
   void decide(std::int64_t now);
   void ask(std::int64_t now);
+
+  void askClaimed(std::int64_t now);
+  void endClaim(const RefinementReply& reply);
+  /// @return why it could not be applied; empty if it was
+  std::string applyClaim(const Refinement& refinement);
+  void refuseClaim(const std::string& why);
 
   void estimate();
   RefinementSeed seed() const;
@@ -113,7 +153,10 @@ private:
   std::optional<Current> current_;
   /// The exposure that was decided without its registration, whose answer may still come.
   std::optional<TrackedExposure> late_;
-  std::int64_t asked_ = 0;  ///< when the last request went out, monotonic clock [ns]
+  std::optional<Decided> latest_;  ///< without a fault
+  std::optional<Claim> claim_;
+  std::string claim_refusal_;  ///< of the last claim, since the last one that was accepted
+  std::int64_t asked_ = 0;     ///< when the last request went out, monotonic clock [ns]
   /// What the last two answers took [ns]: a single one, as the first of a run, may be slow by itself.
   std::array<std::int64_t, 2> took_{};
 
@@ -123,5 +166,6 @@ private:
   std::optional<std::int64_t> last_seen_;
   std::deque<MotionDecision> decisions_;
   std::optional<RefinementRequest> request_;
+  std::optional<ClaimOutcome> outcome_;
 };
 }  // namespace xray_tracking

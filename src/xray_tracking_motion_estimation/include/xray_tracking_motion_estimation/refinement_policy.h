@@ -101,6 +101,8 @@ struct Refinement
   /// The tracks contradicted it, and registrations that agree with each other have outvoted them: what they follow is
   /// not the target.
   bool outvoted = false;
+  /// Somebody has stated that the target is about there, whatever was known of it before.
+  bool claimed = false;
 
   /// What an exposure's tracked pose becomes: the tracked motion of the target since the refined exposure (or from then
   /// back), applied where the target is after all; only if `tracked` is known. For tracks that measure translations
@@ -139,6 +141,13 @@ public:
   /// waits to be confirmed, it starts from that one's pose. @throws std::logic_error if there is one under way
   RefinementRequest ask(const RefinementSeed& exposure, bool unverified, std::int64_t now);
 
+  /// The same from a pose that somebody states, see MotionMonitor::claim(). Its answer has to be believed, and within
+  /// the bounds of a correction of that pose; what tracks say counts for nothing, and a refusal changes nothing.
+  RefinementRequest askClaimed(std::int64_t stamp, const RigidTransform& room_from_patient, std::int64_t now);
+
+  /// Gives up the request under way, if there is one.
+  void giveUp() { pending_.reset(); }
+
   /// Gives up a request that takes too long. @return true if it did
   bool tick(std::int64_t now);
 
@@ -173,6 +182,7 @@ private:
     std::uint64_t id;
     std::int64_t asked;  ///< monotonic clock [ns]
     RefinementSeed exposure;
+    bool claimed = false;
   };
   /// Believed registrations that agree with each other, one exposure after another.
   struct Chain
@@ -191,6 +201,7 @@ private:
   /// How it contradicts the tracked pose within the bounds; empty if it does not.
   std::string contradiction(const RefinementReply& reply, const RefinementSeed& exposure) const;
   void extendChain(const RefinementReply& reply, std::int64_t stamp);
+  Judgement judgeClaimed(const RefinementReply& reply, const RefinementSeed& claim);
 
   RefinementPolicyOptions options_;
   Eigen::Vector3d target_centre_;

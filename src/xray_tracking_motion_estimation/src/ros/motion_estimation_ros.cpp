@@ -88,6 +88,7 @@ MotionEstimationRos::~MotionEstimationRos()
   refine_server_.shutdown();
   restart_server_.shutdown();
   hold_beam_server_.shutdown();
+  alignment_server_.reset();
   operator_subscriber_.shutdown();
   for (View& view : views_)
   {
@@ -140,6 +141,15 @@ void MotionEstimationRos::start()
         });
   }
   const std::vector<std::string>& detectors = parameters_.monitor.tracks.views;
+  alignment_server_ = std::make_unique<AlignmentServer>(
+      pnh_,
+      [this](const RigidTransform& room_from_patient)
+      {
+        const std::string why = monitor_->claim(room_from_patient, steadyNanoseconds());
+        settle();
+        return why;
+      },
+      [this] { monitor_->withdrawClaim(); });
   assembler_.emplace(detectors.size(), parameters_.queue_size,
                      nanosecondsFromSeconds(parameters_.monitor.tracks.pairing_tolerance),
                      StampPolicy::Options{ ros::Time::isSimTime() ? kClockTick : kMaxAhead, kRestartConfirmed });
@@ -303,6 +313,10 @@ void MotionEstimationRos::settle()
   if (const std::optional<RefinementRequest> request = monitor_->takeRequest())
   {
     ask(*request);
+  }
+  if (const std::optional<ClaimOutcome> outcome = monitor_->takeOutcome())
+  {
+    alignment_server_->finish(*outcome);
   }
   while (const std::optional<RegionProposal> proposal = monitor_->takeProposal())
   {

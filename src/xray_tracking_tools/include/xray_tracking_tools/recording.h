@@ -49,7 +49,8 @@ public:
   explicit Recording(const std::string& path);
 
   const std::string& path() const { return path_; }
-  std::size_t parts() const { return bags_.size(); }
+  /// Its bags, one if it was not split.
+  const std::vector<std::string>& files() const { return files_; }
 
   /// All messages of the topics that are wanted, in the order in which they were recorded; empty: of all topics.
   /// Of the recording, which has to stay.
@@ -66,10 +67,13 @@ public:
 
 private:
   std::string path_;
+  std::vector<std::string> files_;
   std::vector<std::unique_ptr<rosbag::Bag>> bags_;
   std::optional<RunDescription> description_;
 };
 
+/// `/room/detector_a/image_raw` of `/room/detector_a/image_raw/compressed`, as of itself
+std::string rawTopic(const std::string& topic);
 /// `image_raw` of `/room/detector_a/image_raw`
 std::string lastName(const std::string& topic);
 /// `detector_a` of it

@@ -3,12 +3,13 @@
 #include <set>
 #include <stdexcept>
 
-#include <cv_bridge/cv_bridge.h>
 #include <geometry_msgs/PoseStamped.h>
+#include <sensor_msgs/CompressedImage.h>
 #include <sensor_msgs/Image.h>
 #include <sensor_msgs/image_encodings.h>
 
 #include "xray_tracking_conversions/conversions.h"
+#include "xray_tracking_conversions/image_pixels.h"
 #include "xray_tracking_core/sequence/sequence.h"
 #include "xray_tracking_tools/recording.h"
 #include "xray_tracking_tools/recording_check.h"
@@ -36,7 +37,7 @@ Finding typeFinding(const rosbag::MessageInstance& instance, const std::string& 
            instance.getTopic(),
            "is " + instance.getDataType(),
            expected,
-           "record the driver's own topic, not a compressed or converted one" };
+           "record the driver's own topic, not a converted one" };
 }
 
 /// Gives a bag's messages to the check.
@@ -68,7 +69,7 @@ public:
     const auto view = recording_.messages();
     for (const rosbag::MessageInstance& instance : *view)
     {
-      const std::string name = lastName(instance.getTopic());
+      const std::string name = lastName(rawTopic(instance.getTopic()));
       if (name == "image_raw")
       {
         takeImage(instance);
@@ -105,9 +106,10 @@ private:
     const auto view = recording_.messages();
     for (const rosbag::ConnectionInfo* connection : view->getConnections())
     {
-      if (lastName(connection->topic) == "image_raw")
+      const std::string topic = rawTopic(connection->topic);
+      if (lastName(topic) == "image_raw")
       {
-        names.insert(detectorOf(connection->topic));
+        names.insert(detectorOf(topic));
       }
     }
     return { names.begin(), names.end() };
@@ -117,14 +119,15 @@ private:
 
   void takeImage(const rosbag::MessageInstance& instance)
   {
-    const std::string detector = detectorOf(instance.getTopic());
+    const std::string detector = detectorOf(rawTopic(instance.getTopic()));
     if (std::find(names_.begin(), names_.end(), detector) == names_.end())
     {
       unknown_.insert(detector);
       return;
     }
     const auto image = instance.instantiate<sensor_msgs::Image>();
-    if (!image)
+    const auto compressed = image ? nullptr : instance.instantiate<sensor_msgs::CompressedImage>();
+    if (!image && !compressed)
     {
       if (once(instance.getTopic()))
       {
@@ -132,25 +135,25 @@ private:
       }
       return;
     }
-    const std::int64_t stamp_ns = nanosecondsFromTime(image->header.stamp);
+    const std::int64_t stamp_ns = nanosecondsFromTime(image ? image->header.stamp : compressed->header.stamp);
     check_.addRecorded(detector + "/image_raw", stamp_ns, nanosecondsFromTime(instance.getTime()));
-    if (image->encoding != encodings::MONO16 && image->encoding != encodings::MONO8 &&
+    if (image && image->encoding != encodings::MONO16 && image->encoding != encodings::MONO8 &&
         image->encoding != encodings::TYPE_16UC1 && image->encoding != encodings::TYPE_8UC1)
     {
       check_.addBadImage(detector, stamp_ns, "image_encoding", "encoding is '" + image->encoding + "'");
       return;
     }
-    cv_bridge::CvImageConstPtr pixels;
+    cv::Mat pixels;
     try
     {
-      pixels = cv_bridge::toCvShare(image);
+      pixels = image ? pixelsFromMsg(*image) : pixelsFromMsg(*compressed);
     }
     catch (const std::exception& error)
     {
       check_.addBadImage(detector, stamp_ns, "image_unreadable", error.what());
       return;
     }
-    check_.addImage(detector, stamp_ns, pixels->image);
+    check_.addImage(detector, stamp_ns, pixels);
   }
 
   void takeCameraInfo(const rosbag::MessageInstance& instance)
@@ -264,9 +267,9 @@ std::vector<Finding> checkSequence(const std::string& folder)
       check.addCameraInfo(row.detector, info);
       try
       {
-        check.addImage(row.detector, row.stamp_ns, readXrayImage(row.file, detector->imageSize()));
+        check.addImage(row.detector, row.stamp_ns, readXrayImage(row.file, *detector, setup.intensity));
       }
-      catch (const std::runtime_error& error)
+      catch (const std::exception& error)
       {
         check.addBadImage(row.detector, row.stamp_ns, "image_unreadable", error.what());
       }

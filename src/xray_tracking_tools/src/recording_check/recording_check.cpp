@@ -14,6 +14,7 @@
 #include "pose_check.h"
 #include "tally.h"
 #include "xray_tracking_conversions/conversions.h"
+#include "xray_tracking_core/sequence/sequence.h"
 #include "xray_tracking_tools/recording.h"
 
 namespace xray_tracking
@@ -321,7 +322,8 @@ struct RecordingCheck::Implementation
       if (!here.off.empty())
       {
         const double most = *std::max_element(here.off.begin(), here.off.end());
-        tell("unpaired", Severity::ERROR, imagesOf(name),
+        // What is farther apart the offline tools do not pair.
+        tell("unpaired", most <= kPairingTolerance ? Severity::WARNING : Severity::ERROR, imagesOf(name),
              std::to_string(here.off.size()) + " of " + std::to_string(stamps.at(name).size()) + " stamps are " +
                  printed("%.6f s (median), at most %.6f s from those of ", median(here.off), most) +
                  imagesOf(reference),

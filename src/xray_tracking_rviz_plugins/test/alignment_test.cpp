@@ -1,0 +1,257 @@
+// The patient is 12 mm from where the setup says. By mouse and keys the CT is laid over its images, and motion
+// estimation and registration, each as it is, do the rest.
+#include "rviz_window.h"
+
+#include <cmath>
+#include <cstdlib>
+#include <limits>
+#include <optional>
+#include <set>
+
+#include <actionlib/client/simple_action_client.h>
+#include <geometry_msgs/PoseStamped.h>
+#include <rviz/tool.h>
+#include <rviz/tool_manager.h>
+#include <tf2_ros/transform_listener.h>
+#include <xray_tracking_msgs/AlignPatientAction.h>
+#include <xray_tracking_msgs/BeamGate.h>
+#include <xray_tracking_msgs/RefinedPose.h>
+#include <QComboBox>
+#include <QLabel>
+#include <QPushButton>
+
+#include "radiograph_panel.h"
+#include "xray_tracking_conversions/conversions.h"
+
+namespace xray_tracking
+{
+namespace
+{
+using xray_tracking_msgs::AlignPatientAction;
+using xray_tracking_msgs::AlignPatientGoal;
+using xray_tracking_msgs::BeamGate;
+using xray_tracking_msgs::RefinementResult;
+
+constexpr double kMisplaced = 12.0;  ///< along room x [mm]
+
+class AlignmentTest : public RvizWindow
+{
+protected:
+  void SetUp() override
+  {
+    ros::NodeHandle nh;
+    gate_subscriber_ = nh.subscribe<BeamGate>("beam_gate", 10,
+                                              [this](const BeamGate::ConstPtr& gate)
+                                              {
+                                                gate_ = *gate;
+                                                opened_ = opened_ || gate->open;
+                                              });
+    refined_subscriber_ = nh.subscribe<xray_tracking_msgs::RefinedPose>(
+        "refined_pose", 10,
+        [this](const xray_tracking_msgs::RefinedPose::ConstPtr& refined)
+        { registers_ = registers_ || refined->result.status <= RefinementResult::UNRELIABLE; });
+    tried_subscriber_ =
+        nh.subscribe<geometry_msgs::PoseStamped>("alignment_pose", 10,
+                                                 [this](const geometry_msgs::PoseStamped::ConstPtr& pose)
+                                                 {
+                                                   tried_ = rigidFromPoseMsg(pose->pose);
+                                                   ++shown_;
+                                                 });
+    radiographs_ = dynamic_cast<RadiographPanel*>(
+        addPanel("xray_tracking_rviz_plugins/RadiographPanel", Qt::BottomDockWidgetArea));
+    panel_ = addPanel("xray_tracking_rviz_plugins/AlignmentPanel");
+    ASSERT_TRUE(panel_ != nullptr && radiographs_ != nullptr);
+    ASSERT_TRUE(spinUntil([&] { return button("align")->isEnabled() && registers_; }, 60.0));
+    spin(0.5);
+    ASSERT_EQ(std::system(("xdotool windowfocus " + std::to_string(frame_->winId())).c_str()), 0);
+  }
+
+  QPushButton* button(const char* name) const { return panel_->findChild<QPushButton*>(name); }
+  QString message() const { return panel_->findChild<QLabel*>("message")->text(); }
+
+  /// With the mouse, where it is on the screen.
+  static void click(const QWidget* widget)
+  {
+    ASSERT_NE(widget, nullptr);
+    const QPoint at = widget->mapToGlobal(widget->rect().center());
+    run("xdotool mousemove " + std::to_string(at.x()) + " " + std::to_string(at.y()) + " click 1");
+  }
+  static void press(const std::string& key, int times = 1)
+  {
+    run("xdotool key --delay 20 --repeat " + std::to_string(times) + " " + key);
+  }
+  static void run(const std::string& command) { ASSERT_EQ(std::system(command.c_str()), 0); }
+
+  void clickStep(const char* name)
+  {
+    for (QPushButton* step : panel_->findChildren<QPushButton*>("step"))
+    {
+      if (step->accessibleName() == name)
+      {
+        click(step);
+        return;
+      }
+    }
+    FAIL() << name;
+  }
+
+  /// The target's centre on tf, from where it is [mm], and that transform's stamp.
+  std::optional<std::pair<Eigen::Vector3d, ros::Time>> patient() const
+  {
+    try
+    {
+      const geometry_msgs::TransformStamped transform = buffer_.lookupTransform(kRoomFrame, kPatientFrame, ros::Time());
+      const Eigen::Vector3d centre(1.25, 15.25, 1.0);
+      RigidTransform truth = RigidTransform::Identity();
+      truth.linear() = Eigen::Quaterniond(0.5, -0.5, 0.5, -0.5).toRotationMatrix();
+      return std::make_pair(Eigen::Vector3d(rigidFromTransformMsg(transform.transform) * centre - truth * centre),
+                            transform.header.stamp);
+    }
+    catch (const tf2::TransformException&)
+    {
+      return std::nullopt;
+    }
+  }
+
+  /// Tracks put the patient where the setup says, or there is no pose, as registration and tracks contradict each
+  /// other.
+  void expectMisplaced() const
+  {
+    const auto pose = patient();
+    EXPECT_LT(pose ? (pose->first - Eigen::Vector3d(kMisplaced, 0.0, 0.0)).norm() : 0.0, 1.0);
+    EXPECT_FALSE(gate_.verified) << gate_.text;
+  }
+
+  /// Asks motion estimation, as anybody may. @return what it says
+  std::string refusal(const std::function<void(AlignPatientGoal&)>& alter)
+  {
+    actionlib::SimpleActionClient<AlignPatientAction> client("motion_estimation/align", false);
+    EXPECT_TRUE(spinUntil([&] { return client.isServerConnected(); }));
+    AlignPatientGoal goal;
+    goal.pose.header.stamp = ros::Time::now();
+    goal.pose.header.frame_id = kRoomFrame;
+    goal.pose.pose.orientation.w = goal.pose.pose.orientation.y = 0.5;
+    goal.pose.pose.orientation.x = goal.pose.pose.orientation.z = -0.5;
+    alter(goal);
+    client.sendGoal(goal);
+    EXPECT_TRUE(spinUntil([&] { return client.getState().isDone(); }));
+    const auto result = client.getResult();
+    EXPECT_TRUE(result && !result->success);
+    return result ? result->message : "";
+  }
+
+  rviz::Panel* panel_ = nullptr;
+  RadiographPanel* radiographs_ = nullptr;
+  BeamGate gate_;
+  bool opened_ = false, registers_ = false;
+  std::optional<RigidTransform> tried_;
+  int shown_ = 0;
+  ros::Subscriber gate_subscriber_, refined_subscriber_, tried_subscriber_;
+  tf2_ros::Buffer buffer_;
+  tf2_ros::TransformListener listener_{ buffer_ };
+};
+
+TEST_F(AlignmentTest, BadStatementsGetAnAnswerAndChangeNothing)
+{
+  const double nan = std::numeric_limits<double>::quiet_NaN();
+  const auto says = [](const std::string& text, const char* words)
+  { return text.find(words) != std::string::npos ? testing::AssertionSuccess() : testing::AssertionFailure() << text; };
+  EXPECT_TRUE(says(refusal([&](AlignPatientGoal& goal) { goal.pose.pose.position.x = nan; }), "finite"));
+  EXPECT_TRUE(says(refusal([](AlignPatientGoal& goal) { goal.pose.pose.orientation.w = 0.9; }), "quaternion"));
+  EXPECT_TRUE(says(refusal([](AlignPatientGoal& goal) { goal.pose.header.stamp += ros::Duration(3600.0); }), "future"));
+  EXPECT_TRUE(says(refusal([](AlignPatientGoal& goal) { goal.pose.header.frame_id = "patient"; }), "treatment_room"));
+  // Where nothing of the patient is: the registration's own words.
+  EXPECT_FALSE(refusal([](AlignPatientGoal& goal) { goal.pose.pose.position.y = 0.09; }).empty());
+  EXPECT_FALSE(refusal([](AlignPatientGoal& goal) { goal.pose.pose.position.y = 1e9; }).empty());
+  spin(1.0);
+  expectMisplaced();
+}
+
+TEST_F(AlignmentTest, CancelledItLeavesEverythingAsItWas)
+{
+  click(button("align"));
+  ASSERT_TRUE(spinUntil([&] { return tried_.has_value(); }));
+  const RigidTransform begun = *tried_;
+  EXPECT_EQ(manager_->getToolManager()->getCurrentTool()->getClassId(), "rviz/Interact");
+  press("Page_Up", 5);
+  ASSERT_TRUE(spinUntil([&] { return std::abs(tried_->translation().y() - begun.translation().y() - 5.0) < 1e-6; }))
+      << tried_->translation().transpose();
+  click(button("align"));
+  ASSERT_TRUE(spinUntil([&] { return message().contains("Cancelled"); }));
+  spin(0.3);
+  shown_ = 0;
+  press("Page_Up", 2);
+  spin(1.0);
+  EXPECT_EQ(shown_, 0);
+  expectMisplaced();
+}
+
+TEST_F(AlignmentTest, ByMouseAndKeysToARegisteredPoseOnTf)
+{
+  expectMisplaced();
+  click(button("align"));
+  ASSERT_TRUE(spinUntil([&] { return tried_.has_value(); }));
+  const RigidTransform begun = *tried_;
+  auto* steps = panel_->findChild<QComboBox*>("shift_step");
+  steps->setCurrentIndex(steps->findData(1.0));
+  press("Left", 9);
+  press("shift+Down", 3);
+  press("ctrl+Up", 1);
+  ASSERT_TRUE(
+      spinUntil([&] { return std::abs(panel_->findChild<QLabel*>("total")->text().left(3).toDouble() - 9.0) < 0.05; }))
+      << panel_->findChild<QLabel*>("total")->text().toStdString();
+  clickStep("shift_x-");
+  const Eigen::Vector3d centre(1.25, 15.25, 1.0);
+  const auto moved = [&] { return Eigen::Vector3d(*tried_ * centre - begun * centre); };
+  ASSERT_TRUE(spinUntil([&] { return std::abs(moved().x() + 10.0) < 1e-6; })) << moved().transpose();
+  EXPECT_LT((moved() - Eigen::Vector3d(-10.0, 0.0, -0.3)).norm(), 1e-6) << moved().transpose();
+  EXPECT_NEAR(rotationAngle(*tried_ * begun.inverse()) * 180.0 / EIGEN_PI, 1.0, 1e-6);
+
+  // Meanwhile both views show the CT there, again and again.
+  std::set<std::shared_ptr<const Rendering>> renderings;  // kept, so that none takes another's place
+  const auto start = std::chrono::steady_clock::now();
+  for (int i = 0; i < 10; ++i)
+  {
+    clickStep(i % 2 == 0 ? "turn_y+" : "turn_y-");
+    spinUntil(
+        [&]
+        {
+          renderings.insert(radiographs_->panes()[0]->view().picture().request.rendering);
+          return false;
+        },
+        0.2);
+  }
+  const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+  std::printf("the overlay followed at %.1f Hz\n", static_cast<double>(renderings.size()) / seconds);
+  RecordProperty("overlay_hz", std::to_string(static_cast<double>(renderings.size()) / seconds));
+  EXPECT_GT(renderings.size(), 4U);  // the registration renders at low priority, whatever else the machine does
+  for (DetectorPane* pane : radiographs_->panes())
+  {
+    EXPECT_NE(pane->view().picture().request.rendering, nullptr) << pane->detector();
+  }
+
+  ASSERT_TRUE(spinUntil([&] { return button("register")->isEnabled(); }));
+  expectMisplaced();
+  const ros::Time asked = ros::Time::now();
+  click(button("register"));
+  ASSERT_TRUE(spinUntil([&] { return message().contains("Registered") || message().contains("Not registered"); }))
+      << message().toStdString();
+  EXPECT_TRUE(message().contains("Registered")) << message().toStdString();
+  ASSERT_TRUE(spinUntil([&] { return patient() && patient()->second > asked && gate_.verified; })) << gate_.text;
+  spin(1.0);
+  // As good as a registration of the phantom is: 0.2 mm.
+  EXPECT_LT(patient()->first.norm(), 0.5) << patient()->first.transpose();
+  EXPECT_EQ(gate_.reason, BeamGate::DISPLACED) << gate_.text;  // from where it was planned to be
+  EXPECT_FALSE(opened_);
+  EXPECT_FALSE(button("register")->isEnabled());
+  EXPECT_LT(TimedApplication::longest, 0.05);  // processor time: what else the machine does is not ours
+  std::printf("longest event: %.1f ms of processor, %.1f ms of wall time\n", 1e3 * TimedApplication::longest,
+              1e3 * TimedApplication::longest_wall);
+}
+}  // namespace
+}  // namespace xray_tracking
+
+int main(int argc, char** argv)
+{
+  return xray_tracking::RvizWindow::runTests(argc, argv, "alignment_test");
+}
