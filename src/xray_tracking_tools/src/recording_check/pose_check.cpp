@@ -229,7 +229,10 @@ private:
   void checkCt(bool seen)
   {
     const PatientCt ct = readPatientCt(setup_.ct_path, setup_.ct_content);
-    const Eigen::AlignedBox3d extent = ct.volume.grid.extent();
+    // A voxel more than its centres: boxes are given to the CT's edge, and rounded.
+    const Eigen::AlignedBox3d centres = ct.volume.grid.extent();
+    const Eigen::Vector3d voxel = Eigen::Vector3d::Constant(ct.volume.grid.spacing().maxCoeff());
+    const Eigen::AlignedBox3d extent(centres.min() - voxel, centres.max() + voxel);
     if (!extent.contains(setup_.target_box))
     {
       const bool any = extent.intersects(setup_.target_box);
