@@ -25,6 +25,7 @@ UsableImage DetectorPixels::look(const cv::Mat& image, const IntensityModel& int
   }
   catch (const std::exception& error)
   {
+    seen.kind = ImageFault::NO_IMAGE;
     seen.fault = error.what();
   }
   return seen;
@@ -36,11 +37,13 @@ std::string DetectorPixels::examine(const cv::Mat& image, const IntensityModel& 
   field_.update(image, intensity);
   if (!field_.nothing().empty())
   {
+    seen.kind = ImageFault::NOTHING;
     return field_.nothing();
   }
   const std::optional<std::int64_t> before = repeated_.add(image, stamp_ns);
   if (before && *before < stamp_ns)
   {
+    seen.kind = ImageFault::REPEATED;
     return message("the image, or a good part of its rows, is bit for bit that of ",
                    1e-9 * static_cast<double>(stamp_ns - *before), " s before");
   }
@@ -64,7 +67,9 @@ std::string DetectorPixels::examine(const cv::Mat& image, const IntensityModel& 
   // In the middle of the image: if rows are mixed, they are in all of it.
   const cv::Size looked(std::min(whole.width / 2, kLooked), std::min(whole.height / 2, kLooked));
   const cv::Rect middle(cv::Point((whole.width - looked.width) / 2, (whole.height - looked.height) / 2), looked);
-  return mixed_.look(seen.image, middle);
+  const std::string& mixed = mixed_.look(seen.image, middle);
+  seen.kind = mixed.empty() ? ImageFault::NONE : ImageFault::MIXED_ROWS;
+  return mixed;
 }
 
 void UsablePixels::apply(std::int64_t stamp_ns, RegistrationRequest& request)

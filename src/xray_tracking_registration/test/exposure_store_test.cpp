@@ -93,6 +93,30 @@ TEST_F(ExposureStoreTest, beginsAnewWhenTimeJumpsBack)
   EXPECT_EQ(1U, store_.run());
 }
 
+/// As of a bag that is played in a loop, whose images, larger, come later than the next pass's camera_infos.
+TEST_F(ExposureStoreTest, whatComesLateIsNoOtherRun)
+{
+  addViews(5 * kSecond);
+  addInfo(0, 8 * kSecond);
+  addInfo(1, 8 * kSecond);
+  addInfo(0, 5 * kSecond);
+  EXPECT_EQ(1U, store_.run());
+  for (const std::size_t detector : { 0, 1 })
+  {
+    EXPECT_NE(std::string::npos, store_.takeImage(detector, 8 * kSecond, kNow).find("is of the run before"));
+    addImage(detector, 5 * kSecond);
+  }
+  addInfo(1, 5 * kSecond);
+  EXPECT_EQ(1U, store_.run());
+  EXPECT_EQ("", store_.missingView(*find(5 * kSecond)));
+  EXPECT_EQ(1U, store_.size());
+  // And the next pass.
+  addViews(8 * kSecond);
+  addInfo(1, 5 * kSecond);
+  EXPECT_EQ(2U, store_.run());
+  EXPECT_EQ(1U, store_.size());
+}
+
 TEST_F(ExposureStoreTest, aStampOfTheFutureForgetsNothing)
 {
   addViews(5 * kSecond);

@@ -52,7 +52,7 @@ int runCommand(int argc, char** argv, const CommandLine& command_line,
   catch (const std::exception& e)
   {
     std::cerr << program << ": " << e.what() << std::endl;
-    return 1;
+    return command_line.failure;
   }
 }
 

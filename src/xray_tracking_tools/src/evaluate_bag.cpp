@@ -3,6 +3,7 @@
 #include <iostream>
 
 #include "xray_tracking_tools/command_line.h"
+#include "xray_tracking_tools/recording.h"
 #include "xray_tracking_tools/sequence_bag.h"
 #include "xray_tracking_tools/tracking_record.h"
 
@@ -40,16 +41,12 @@ int evaluateBag(const po::variables_map& arguments)
     record = readTrackingRecord(bag_path, kPlaybackEpochNs);
     evaluation = evaluateRecord(record, baseName(folder), sequence);
   }
-  else if (arguments.count("setup") != 0)
-  {
-    const std::string setup_path = arguments["setup"].as<std::string>();
-    const TreatmentSetup setup = loadTreatmentSetup(setup_path);
-    record = readTrackingRecord(bag_path, 0);
-    evaluation = evaluateRecord(record, baseName(setup_path), setup.target_box);
-  }
   else
   {
-    throw std::invalid_argument("--setup or --sequence is missing: where would the target box come from?");
+    const std::string setup_path = arguments.count("setup") != 0 ? arguments["setup"].as<std::string>() : "";
+    const TreatmentSetup setup = Recording(bag_path).setup(setup_path);
+    record = readTrackingRecord(bag_path, 0);
+    evaluation = evaluateRecord(record, baseName(setup_path.empty() ? bag_path : setup_path), setup.target_box);
   }
   std::vector<std::string> problems;
   if (arguments.count("frames") != 0)
@@ -97,14 +94,15 @@ int evaluateBag(const po::variables_map& arguments)
 int main(int argc, char** argv)
 {
   xray_tracking::CommandLine command_line;
-  command_line.usage = "BAG OUT_DIR --setup SETUP.yaml [--sequence DIR] [--frames N] [--name NAME]";
+  command_line.usage = "BAG OUT_DIR [--setup SETUP.yaml] [--sequence DIR] [--frames N] [--name NAME]";
   command_line.description =
       "Compares the recorded patient poses with the gold standard; writes tre.csv, poses.csv and summary.json, prints\n"
       "the summary: of the poses that were published, by the run's method, and of what the registration said by "
       "itself.\n"
       "Exit status 0 only if every exposure has a pose, and the beam gate took that of some exposure for verified.";
   command_line.arguments = { "BAG", "OUT_DIR" };
-  command_line.options.add_options()("setup", po::value<std::string>(), "setup file of a live run: the target box")(
+  command_line.options.add_options()("setup", po::value<std::string>(),
+                                     "setup file of a live run: the target box; default: the one in it")(
       "sequence", po::value<std::string>(), "the folder that was played: target box, exposures, gold standard")(
       "frames", po::value<int>(), "the first N exposures are judged, and there must be as many")(
       "name", po::value<std::string>(), "name of the sequence in the results");

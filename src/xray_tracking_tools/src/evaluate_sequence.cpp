@@ -99,11 +99,8 @@ ExposureSource sourceOf(const po::variables_map& arguments)
   {
     return sequenceSource(arguments["sequence"].as<std::string>());
   }
-  if (arguments.count("setup") == 0)
-  {
-    throw std::invalid_argument("--bag needs --setup: where would the geometry come from?");
-  }
-  return bagSource(arguments["bag"].as<std::string>(), arguments["setup"].as<std::string>());
+  return bagSource(arguments["bag"].as<std::string>(),
+                   arguments.count("setup") != 0 ? arguments["setup"].as<std::string>() : "");
 }
 
 /// The CT's models, made when they are first needed.
@@ -327,7 +324,8 @@ int main(int argc, char** argv)
 {
   xray_tracking::CommandLine command_line;
   command_line.usage =
-      "--sequence DIR | --bag BAG --setup SETUP.yaml --out DIR [--methods LIST] [--frames N] [--times] [--no_report]";
+      "--sequence DIR | --bag BAG [--setup SETUP.yaml] --out DIR [--methods LIST] [--frames N] [--times] "
+      "[--no_report]";
   command_line.description =
       "Runs methods over a sequence folder's or a bag's exposures without ROS, by the rules of the live graph and as\n"
       "fast as the machine goes, and judges them as evaluate_bag does: report.html, what it is made of, a table. The "
@@ -336,7 +334,7 @@ int main(int argc, char** argv)
       "method has a pose of every exposure.";
   command_line.options.add_options()("sequence", po::value<std::string>(), "sequence folder")(
       "bag", po::value<std::string>(), "bag with image_raw and camera_info of every detector")(
-      "setup", po::value<std::string>(), "of a bag: geometry, CT, initial pose, target box")(
+      "setup", po::value<std::string>(), "of a bag: geometry, CT, initial pose, target box; default: the one in it")(
       "out", po::value<std::string>()->required(), "folder for the results")(
       "methods", po::value<std::string>(),
       "some of tracking, registration, tracking_and_registration, paper_tracking, paper_registration, with commas; "

@@ -3,20 +3,52 @@
 #include <algorithm>
 #include <cstdio>
 #include <filesystem>
+#include <fstream>
+#include <iterator>
 #include <limits>
 #include <stdexcept>
 
 #include <geometry_msgs/PoseStamped.h>
 #include <rosbag/bag.h>
 #include <sensor_msgs/CameraInfo.h>
+#include <std_msgs/String.h>
+#include <boost/make_shared.hpp>
 
 #include "xray_tracking_conversions/conversions.h"
 #include "xray_tracking_tools/image_message.h"
+#include "xray_tracking_tools/recording.h"
 
 namespace xray_tracking
 {
 namespace
 {
+/// What bag_to_sequence needs to get everything back; and, once more at the end, when the next exposure would be, so
+/// that a player that begins anew there leaves time for the last one.
+void writeDescription(const Sequence& sequence, rosbag::Bag& bag)
+{
+  RunDescription description = describeRun(sequence.tables.front());
+  description.epoch_ns = kPlaybackEpochNs;
+  if (!sequence.gold_standard.empty())
+  {
+    std::ifstream file(sequence.tables.back(), std::ios::binary);
+    description.gold_standard = { std::istreambuf_iterator<char>(file), std::istreambuf_iterator<char>() };
+  }
+  std_msgs::String message;
+  message.data = textOf(description);
+  const auto latched = boost::make_shared<ros::M_string>(
+      ros::M_string{ { "latching", "1" },
+                     { "type", ros::message_traits::datatype(message) },
+                     { "md5sum", ros::message_traits::md5sum(message) },
+                     { "message_definition", ros::message_traits::definition(message) } });
+  const std::vector<Exposure>& exposures = sequence.exposures;
+  const std::int64_t last = exposures.back().stamp_ns;
+  const std::int64_t next = exposures.size() > 1 ? 2 * last - exposures[exposures.size() - 2].stamp_ns : last;
+  for (const std::int64_t stamp_ns : { exposures.front().stamp_ns, next })
+  {
+    bag.write(std::string("/") + kRunDescriptionTopic, playbackTime(stamp_ns), message, latched);
+  }
+}
+
 void writeExposures(const Sequence& sequence, rosbag::Bag& bag,
                     const std::function<void(std::size_t, std::size_t)>& progress)
 {
@@ -80,6 +112,7 @@ void writeSequenceBag(const Sequence& sequence, const std::string& bag_path,
   try
   {
     rosbag::Bag bag(partial_path, rosbag::bagmode::Write);
+    writeDescription(sequence, bag);
     writeExposures(sequence, bag, progress);
     bag.close();
     std::filesystem::rename(partial_path, bag_path);

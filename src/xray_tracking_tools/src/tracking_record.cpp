@@ -7,12 +7,11 @@
 
 #include <geometry_msgs/PoseStamped.h>
 #include <geometry_msgs/PoseWithCovarianceStamped.h>
-#include <rosbag/bag.h>
-#include <rosbag/view.h>
 #include <sensor_msgs/CameraInfo.h>
 #include <xray_tracking_msgs/BeamGate.h>
 
 #include "xray_tracking_conversions/conversions.h"
+#include "xray_tracking_tools/recording.h"
 
 namespace xray_tracking
 {
@@ -216,18 +215,18 @@ std::string refinedReason(const TrackingRecord& record, std::int64_t stamp_ns)
 
 TrackingRecord readTrackingRecord(const std::string& bag_path, std::int64_t epoch_ns)
 {
+  const Recording recording(bag_path);
   try
   {
     TrackingRecord record;
-    rosbag::Bag bag(bag_path, rosbag::bagmode::Read);
-    rosbag::View view(bag,
-                      [](const rosbag::ConnectionInfo* connection)
-                      {
-                        const std::string name = connection->topic.substr(connection->topic.rfind('/') + 1);
-                        return name == "patient_motion" || name == "patient_pose" || name == "refined_pose" ||
-                               name == "patient_ground_truth" || name == "camera_info" || name == "beam_gate";
-                      });
-    for (const rosbag::MessageInstance& instance : view)
+    const auto view = recording.messages(
+        [](const rosbag::ConnectionInfo* connection)
+        {
+          const std::string name = lastName(connection->topic);
+          return name == "patient_motion" || name == "patient_pose" || name == "refined_pose" ||
+                 name == "patient_ground_truth" || name == "camera_info" || name == "beam_gate";
+        });
+    for (const rosbag::MessageInstance& instance : *view)
     {
       readMessage(instance, instance.getTopic(), epoch_ns, record);
     }

@@ -2,8 +2,12 @@
 
 #include <stdexcept>
 
+#include <std_msgs/String.h>
+#include <nlohmann/json.hpp>
+
 #include "xray_tracking_conversions/conversions.h"
 #include "xray_tracking_conversions/parameters.h"
+#include "xray_tracking_tools/recording.h"
 #include "xray_tracking_tools/treatment_room_markers.h"
 
 namespace xray_tracking
@@ -11,6 +15,36 @@ namespace xray_tracking
 namespace
 {
 constexpr double kGateSilence = 0.5;  // [s]; it comes every 20 ms
+
+nlohmann::json jsonOf(XmlRpc::XmlRpcValue value)
+{
+  nlohmann::json json;
+  switch (value.getType())
+  {
+    case XmlRpc::XmlRpcValue::TypeBoolean:
+      return static_cast<bool>(value);
+    case XmlRpc::XmlRpcValue::TypeInt:
+      return static_cast<int>(value);
+    case XmlRpc::XmlRpcValue::TypeDouble:
+      return static_cast<double>(value);
+    case XmlRpc::XmlRpcValue::TypeString:
+      return static_cast<std::string>(value);
+    case XmlRpc::XmlRpcValue::TypeArray:
+      for (int k = 0; k < value.size(); ++k)
+      {
+        json.push_back(jsonOf(value[k]));
+      }
+      return json;
+    case XmlRpc::XmlRpcValue::TypeStruct:
+      for (auto& [key, member] : value)
+      {
+        json[key] = jsonOf(member);
+      }
+      return json;
+    default:
+      return value.toXml();
+  }
+}
 }  // namespace
 
 TreatmentRoomPublisherRos::TreatmentRoomPublisherRos(ros::NodeHandle nh, ros::NodeHandle pnh) : nh_(nh)
@@ -42,6 +76,16 @@ void TreatmentRoomPublisherRos::start(const ros::NodeHandle& pnh)
   static_markers_ = staticMarkers(setup_);
   gate_marker_ = gateMarker(false, "nothing on beam_gate");
   broadcaster_.sendTransform(staticTransforms(setup_));
+
+  // For recordings, which are to be evaluated by what is in them.
+  RunDescription description = describeRun(setup_file);
+  XmlRpc::XmlRpcValue parameters;
+  ros::param::get("/", parameters);
+  description.parameters = jsonOf(parameters).dump(-1, ' ', false, nlohmann::json::error_handler_t::replace);
+  std_msgs::String text;
+  text.data = textOf(description);
+  description_publisher_ = nh_.advertise<std_msgs::String>(kRunDescriptionTopic, 1, true);
+  description_publisher_.publish(text);
 
   // Ten times a second is enough for the eye; a marker array for each message of each detector would load RViz.
   marker_publisher_ = nh_.advertise<visualization_msgs::MarkerArray>("treatment_room_markers", 1, true);

@@ -72,7 +72,7 @@ TEST(EvaluateSequence, NamesWhatIsWrong)
   expectFailure(sequence, "out");
   expectFailure(out, "either --sequence or --bag");
   expectFailure(sequence + " --bag x.bag" + out, "either --sequence or --bag");
-  expectFailure("--bag x.bag" + out, "--bag needs --setup");
+  expectFailure("--bag " + folder.file("none.bag") + out, "none.bag");
   expectFailure("--bag " + folder.file("none.bag") + " --setup " + folder.file("sequence.yaml") + out, "none.bag");
   expectFailure("--sequence /nowhere" + out, "/nowhere");
   expectFailure(sequence + out + " --frames 6", "--frames is 6, but there are 5 exposures");
@@ -242,8 +242,8 @@ TEST_F(SharedSequence, IsTheSameToTheLastByteAndFromABag)
     EXPECT_EQ(0, result.status) << result.output;
   }
   ASSERT_EQ(0, run("sequence_to_bag " + sequence + " " + folder.file("x.bag") + " --frames 6").status);
-  const CommandResult result = run("evaluate_sequence --bag " + folder.file("x.bag") + " --setup " + sequence +
-                                   "/sequence.yaml" + methods + folder.file("c"));
+  // Its setup is in it.
+  const CommandResult result = run("evaluate_sequence --bag " + folder.file("x.bag") + methods + folder.file("c"));
   EXPECT_EQ(0, result.status) << result.output;
   for (const char* name : { "tre.csv", "poses.csv", "summary.json", "exposures.csv", "views.csv", "run.json" })
   {

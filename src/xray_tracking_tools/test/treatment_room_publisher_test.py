@@ -1,6 +1,7 @@
 #!/usr/bin/python3
 """The treatment room on tf and in markers, against what the setup file's numbers say."""
 
+import json
 import math
 import os
 import unittest
@@ -12,6 +13,7 @@ import rospy
 import rostest
 import yaml
 from geometry_msgs.msg import PoseWithCovarianceStamped
+from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker, MarkerArray
 from xray_tracking_msgs.msg import BeamGate, TrackedRegion
@@ -78,6 +80,15 @@ class TreatmentRoomPublisherTest(unittest.TestCase):
         d = self.detectors[name]
         return 1e-3 * (d["origin_mm"] + u * d["pixel_pitch_mm"][0] * d["x_direction"] +
                        v * d["pixel_pitch_mm"][1] * d["y_direction"])
+
+    def test_says_what_a_recording_is_evaluated_by(self):
+        said = json.loads(rospy.wait_for_message("run_description", String, WAIT_S).data)
+        setup = yaml.safe_load(said["setup"])
+        self.assertEqual([detector["name"] for detector in setup["detectors"]], list(self.detectors))
+        self.assertEqual(setup["target_box_mm"], self.setup_file["target_box_mm"])
+        self.assertEqual(said["parameters"]["treatment_room_publisher"]["trail_length"], 5)
+        self.assertEqual(said["epoch_ns"], 0)
+        self.assertTrue(all(said["versions"][name] for name in ("xray_tracking", "roscpp", "opencv", "eigen")))
 
     def test_static_transforms(self):
         transforms = {t.child_frame_id: t

@@ -111,10 +111,9 @@ public:
     return std::stoll(seconds) * 1'000'000'000 + (tenths + 5) / 10;
   }
 
-  [[noreturn]] void fail(const std::string& problem) const
-  {
-    throw std::runtime_error(path_ + ", line " + std::to_string(line_number_) + ": " + problem);
-  }
+  std::string where() const { return path_ + ", line " + std::to_string(line_number_); }
+
+  [[noreturn]] void fail(const std::string& problem) const { throw std::runtime_error(where() + ": " + problem); }
 
 private:
   std::string path_;
@@ -124,52 +123,59 @@ private:
   std::vector<std::string> row_;
 };
 
-std::size_t detectorIndex(const TreatmentSetup& setup, const CsvReader& row)
+std::size_t detectorIndex(const TreatmentSetup& setup, const FrameRow& row)
 {
   try
   {
-    return &setup.detector(row.text("detector")) - setup.detectors.data();
+    return &setup.detector(row.detector) - setup.detectors.data();
   }
   catch (const std::invalid_argument& error)
   {
-    row.fail(error.what());
+    throw std::runtime_error(row.where + ": " + error.what());
   }
 }
 
-void checkComplete(const TreatmentSetup& setup, const Exposure& exposure, const CsvReader& row)
+std::string secondsText(std::int64_t stamp_ns)
+{
+  std::ostringstream seconds;
+  seconds << stamp_ns / 1'000'000'000 << '.' << std::setw(9) << std::setfill('0') << stamp_ns % 1'000'000'000;
+  return seconds.str();
+}
+
+void checkComplete(const TreatmentSetup& setup, const Exposure& exposure, const std::string& where)
 {
   for (std::size_t i = 0; i < exposure.files.size(); ++i)
   {
     if (exposure.files[i].empty())
     {
-      row.fail("the exposure before this has no image of " + setup.detectors[i].name() +
-               " (are stamps of one exposure farther apart than pairing_tolerance in sequence.yaml?)");
+      throw std::runtime_error(where + ": the exposure before this has no image of " + setup.detectors[i].name() +
+                               " (are stamps of one exposure farther apart than pairing_tolerance in sequence.yaml?)");
     }
   }
 }
 
 /// Rows whose stamps are at most `tolerance` [ns] from that of the first row of an exposure belong to it, unless it has
 /// an image of their detector already. The exposure's stamp is that of the first detector.
-std::vector<Exposure> readExposures(const TreatmentSetup& setup, const std::filesystem::path& path,
+std::vector<Exposure> pairExposures(const TreatmentSetup& setup, const std::vector<FrameRow>& rows,
                                     std::int64_t tolerance)
 {
   std::vector<Exposure> exposures;
-  CsvReader row(path.string(), { "stamp_s", "detector", "file" });
   std::int64_t first = 0;
-  while (row.next())
+  for (const FrameRow& row : rows)
   {
-    const std::int64_t stamp = row.stamp();
+    const std::int64_t stamp = row.stamp_ns;
     const std::size_t detector = detectorIndex(setup, row);
     const bool near = !exposures.empty() && std::abs(stamp - first) <= tolerance;
     if (!exposures.empty() && !near && stamp < first)
     {
-      row.fail("stamp_s " + row.text("stamp_s") + " is before that of the line above: expected stamps that grow");
+      throw std::runtime_error(row.where + ": stamp_s " + secondsText(stamp) +
+                               " is before that of the line above: expected stamps that grow");
     }
     if (!near || (stamp > first && !exposures.back().files[detector].empty()))
     {
       if (!exposures.empty())
       {
-        checkComplete(setup, exposures.back(), row);
+        checkComplete(setup, exposures.back(), row.where);
       }
       exposures.push_back({ stamp, std::vector<std::string>(setup.detectors.size()) });
       first = stamp;
@@ -181,19 +187,15 @@ std::vector<Exposure> readExposures(const TreatmentSetup& setup, const std::file
     std::string& file = exposures.back().files[detector];
     if (!file.empty())
     {
-      row.fail("a second image of " + setup.detectors[detector].name() + " at " + row.text("stamp_s") + " s");
+      throw std::runtime_error(row.where + ": a second image of " + row.detector + " at " + secondsText(stamp) + " s");
     }
-    file = (path.parent_path() / row.text("file")).lexically_normal().string();
+    file = row.file;
     if (!std::filesystem::is_regular_file(file))
     {
-      row.fail("image " + file + " is missing");
+      throw std::runtime_error(row.where + ": image " + file + " is missing");
     }
   }
-  if (exposures.empty())
-  {
-    row.fail("no exposures");
-  }
-  checkComplete(setup, exposures.back(), row);
+  checkComplete(setup, exposures.back(), rows.back().where);
   return exposures;
 }
 
@@ -214,9 +216,8 @@ std::vector<StampedPose> readGoldStandard(const std::vector<Exposure>& exposures
     }
     if (nearest == table.end() || away(*nearest) > tolerance)
     {
-      std::ostringstream seconds;
-      seconds << std::fixed << std::setprecision(9) << exposure.stamp_ns * 1e-9;
-      throw std::runtime_error(path.string() + ": no pose for the exposure at " + seconds.str() + " s");
+      throw std::runtime_error(path.string() + ": no pose for the exposure at " + secondsText(exposure.stamp_ns) +
+                               " s");
     }
     poses.push_back({ exposure.stamp_ns, nearest->room_from_patient });
   }
@@ -249,6 +250,32 @@ std::vector<StampedPose> loadPoses(const std::string& path)
   return poses;
 }
 
+std::vector<FrameRow> loadFrameTable(const std::string& directory)
+{
+  const std::filesystem::path folder = std::filesystem::absolute(directory);
+  const std::filesystem::path path =
+      folder / YamlField::fromFile((folder / "sequence.yaml").string()).get("frames").text();
+  std::vector<FrameRow> rows;
+  CsvReader row(path.string(), { "stamp_s", "detector", "file" });
+  while (row.next())
+  {
+    rows.push_back({ row.stamp(), row.text("detector"),
+                     (path.parent_path() / row.text("file")).lexically_normal().string(), row.where() });
+  }
+  if (rows.empty())
+  {
+    row.fail("no exposures");
+  }
+  return rows;
+}
+
+std::string goldStandardPath(const std::string& directory)
+{
+  const std::filesystem::path folder = std::filesystem::absolute(directory);
+  const auto path = YamlField::fromFile((folder / "sequence.yaml").string()).find("gold_standard");
+  return path ? (folder / path->text()).string() : "";
+}
+
 Sequence loadSequence(const std::string& directory)
 {
   const std::filesystem::path folder = std::filesystem::absolute(directory);
@@ -267,11 +294,12 @@ Sequence loadSequence(const std::string& directory)
   }
   const auto tolerance_ns = static_cast<std::int64_t>(std::llround(tolerance_s * 1e9));
   sequence.tables = { path, (folder / root.get("frames").text()).string() };
-  sequence.exposures = readExposures(sequence.setup, sequence.tables.back(), tolerance_ns);
-  if (const auto gold_standard = root.find("gold_standard"))
+  sequence.exposures = pairExposures(sequence.setup, loadFrameTable(directory), tolerance_ns);
+  const std::string gold_standard = goldStandardPath(directory);
+  if (!gold_standard.empty())
   {
-    sequence.tables.push_back((folder / gold_standard->text()).string());
-    sequence.gold_standard = readGoldStandard(sequence.exposures, sequence.tables.back(), tolerance_ns);
+    sequence.tables.push_back(gold_standard);
+    sequence.gold_standard = readGoldStandard(sequence.exposures, gold_standard, tolerance_ns);
   }
   return sequence;
 }

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <filesystem>
 #include <fstream>
+#include <sstream>
 #include <stdexcept>
 
 #include "yaml_field.h"
@@ -175,9 +176,11 @@ std::vector<ProjectionGeometry> loadDetectors(const std::string& path)
   return readDetectors(YamlField::fromFile(path).get("detectors"));
 }
 
-TreatmentSetup loadTreatmentSetup(const std::string& path)
+namespace
 {
-  const YamlField root = YamlField::fromFile(path);
+/// @param path of the file, where relative paths start
+TreatmentSetup readTreatmentSetup(const YamlField& root, const std::string& path)
+{
   TreatmentSetup setup;
   if (const auto ct = root.find("ct"))
   {
@@ -231,6 +234,38 @@ TreatmentSetup loadTreatmentSetup(const std::string& path)
         });
   }
   return setup;
+}
+
+}  // namespace
+
+TreatmentSetup loadTreatmentSetup(const std::string& path)
+{
+  return readTreatmentSetup(YamlField::fromFile(path), path);
+}
+
+TreatmentSetup treatmentSetupFromText(const std::string& text, const std::string& name)
+{
+  return readTreatmentSetup(YamlField::fromText(text, name), name);
+}
+
+std::string selfContainedSetup(const std::string& path)
+{
+  loadTreatmentSetup(path);
+  YAML::Node root = YAML::LoadFile(path);
+  if (const YAML::Node ct = root["ct"]; ct && !ct.IsNull())
+  {
+    root["ct"] = resolvePath(ct.Scalar(), path);
+  }
+  if (const YAML::Node detectors = root["detectors"]; detectors.IsScalar())
+  {
+    root["detectors"] = YAML::LoadFile(resolvePath(detectors.Scalar(), path))["detectors"];
+  }
+  root.SetStyle(YAML::EmitterStyle::Block);
+  root.remove("frames");
+  root.remove("gold_standard");
+  std::ostringstream text;
+  text << root << "\n";
+  return text.str();
 }
 
 void saveTreatmentSetup(const TreatmentSetup& setup, const std::string& path)

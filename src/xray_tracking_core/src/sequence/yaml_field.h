@@ -19,23 +19,12 @@ class YamlField
 public:
   static YamlField fromFile(const std::string& path)
   {
-    try
-    {
-      const YamlField root(path, "", YAML::LoadFile(path));
-      if (!root.node_.IsMap())
-      {
-        throw std::runtime_error(path + ": expected keys with values");
-      }
-      return root;
-    }
-    catch (const YAML::BadFile&)
-    {
-      throw std::runtime_error(path + ": missing or not readable");
-    }
-    catch (const YAML::Exception& error)
-    {
-      throw std::runtime_error(path + ": not YAML: " + error.what());
-    }
+    return rootOf(path, [&] { return YAML::LoadFile(path); });
+  }
+  /// @param name what stands for the file in messages, and where relative paths start
+  static YamlField fromText(const std::string& text, const std::string& name)
+  {
+    return rootOf(name, [&] { return YAML::Load(text); });
   }
 
   std::optional<YamlField> find(const std::string& key) const
@@ -137,6 +126,28 @@ public:
   std::string where() const { return file_ + ", line " + std::to_string(node_.Mark().line + 1) + ": " + key_; }
 
 private:
+  template <typename Load>
+  static YamlField rootOf(const std::string& name, Load load)
+  {
+    try
+    {
+      const YamlField root(name, "", load());
+      if (!root.node_.IsMap())
+      {
+        throw std::runtime_error(name + ": expected keys with values");
+      }
+      return root;
+    }
+    catch (const YAML::BadFile&)
+    {
+      throw std::runtime_error(name + ": missing or not readable");
+    }
+    catch (const YAML::Exception& error)
+    {
+      throw std::runtime_error(name + ": not YAML: " + error.what());
+    }
+  }
+
   YamlField(std::string file, std::string key, YAML::Node node)
     : file_(std::move(file)), key_(std::move(key)), node_(std::move(node))
   {

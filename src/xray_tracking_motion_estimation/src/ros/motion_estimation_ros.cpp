@@ -13,6 +13,7 @@
 #include "motion_messages.h"
 #include "tracked_view_message.h"
 #include "xray_tracking_conversions/conversions.h"
+#include "xray_tracking_core/sequence/stamp_policy.h"
 #include "xray_tracking_core/stopwatch.h"
 #include "xray_tracking_motion_estimation/bone_shape.h"
 
@@ -131,6 +132,11 @@ void MotionEstimationRos::start()
         [this](const std::optional<RefinePose::Response>& response, const std::string& why)
         {
           monitor_->onReply(replyFrom(asked_, response, why), steadyNanoseconds());
+          const std::optional<RefinementRequest> waiting = std::exchange(waiting_, std::nullopt);
+          if (waiting && monitor_->refinement().pending() == waiting->id)
+          {
+            ask(*waiting);
+          }
           settle();
         });
   }
@@ -293,9 +299,14 @@ void MotionEstimationRos::settle()
 {
   while (const std::optional<MotionDecision> decision = monitor_->takeDecision())
   {
-    publish(*decision);
+    // Of the run before, if the clock has gone back since: among this one's poses it would be one of the future.
+    const std::int64_t ahead = decision->stamp - nanosecondsFromTime(ros::Time::now());
+    if (decision->state == MotionState::BAD_STAMP || ahead <= StampPolicy::kJump)
+    {
+      publish(*decision);
+    }
   }
-  if (registration_ && !monitor_->refinement().pending())
+  if (registration_ && (!monitor_->refinement().pending() || waiting_))
   {
     registration_->cancelAfter(ros::WallDuration(0.0));  // what was given up
   }
@@ -379,9 +390,7 @@ void MotionEstimationRos::ask(const RefinementRequest& request)
   }
   else
   {
-    monitor_->onReply(replyFrom(request.id, std::nullopt, "an earlier request is still being broken off"),
-                      steadyNanoseconds());
-    settle();
+    waiting_ = request;  // until an earlier one has been broken off
   }
 }
 

@@ -58,14 +58,19 @@ public:
   std::size_t size() const { return exposures_.size(); }
 
 private:
+  struct Topic
+  {
+    StampPolicy stamps;
+    bool of_this_run = true;  ///< something of the run has come
+  };
   struct Topics
   {
-    StampPolicy images;
-    StampPolicy camera_infos;
+    Topic images;
+    Topic camera_infos;
   };
 
   /// @param name of the topic. @return as takeImage
-  std::string take(StampPolicy& topic, const std::string& name, std::int64_t stamp_ns, std::int64_t now_ns);
+  std::string take(Topic& topic, const std::string& name, std::int64_t stamp_ns, std::int64_t now_ns);
   StoredExposure& at(std::int64_t stamp_ns);
 
   std::vector<std::string> detectors_;
@@ -73,5 +78,6 @@ private:
   std::map<std::int64_t, StoredExposure> exposures_;
   std::vector<Topics> topics_;  ///< one a detector
   std::size_t run_ = 0;
+  std::int64_t newest_ns_ = 0;  ///< stamp of the run
 };
 }  // namespace xray_tracking

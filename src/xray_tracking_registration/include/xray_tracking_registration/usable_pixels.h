@@ -12,9 +12,20 @@
 
 namespace xray_tracking
 {
+/// What is wrong with an image that says nothing of the patient.
+enum class ImageFault
+{
+  NONE,
+  NOTHING,     ///< it shows nothing: black, constant, noise alone
+  REPEATED,    ///< it, or a good part of its rows, was there before
+  MIXED_ROWS,  ///< every other row is of another exposure
+  NO_IMAGE     ///< of a type or size that is none
+};
+
 /// An image that has been looked at.
 struct UsableImage
 {
+  ImageFault kind = ImageFault::NONE;
   cv::Mat image;      ///< the same pixels, or a copy without those that are stuck
   cv::Mat usable;     ///< as RegistrationView::usable
   std::string fault;  ///< why the image says nothing of the patient; empty: it does

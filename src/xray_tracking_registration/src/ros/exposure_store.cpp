@@ -21,30 +21,39 @@ std::string ExposureStore::takeCameraInfo(std::size_t detector, std::int64_t sta
   return take(topics_[detector].camera_infos, detectors_[detector] + "/camera_info", stamp_ns, now_ns);
 }
 
-std::string ExposureStore::take(StampPolicy& topic, const std::string& name, std::int64_t stamp_ns, std::int64_t now_ns)
+std::string ExposureStore::take(Topic& topic, const std::string& name, std::int64_t stamp_ns, std::int64_t now_ns)
 {
   using Verdict = StampPolicy::Verdict;
-  const Verdict verdict = topic.take(stamp_ns, now_ns);
+  const Verdict verdict = topic.stamps.take(stamp_ns, now_ns);
   if (verdict == Verdict::FUTURE || verdict == Verdict::REPEATED_OR_LATE)
   {
-    return name + ": " + topic.why();
+    return name + ": " + topic.stamps.why();
   }
-  if (verdict == Verdict::RESTART)
+  if (verdict == Verdict::RESTART && topic.of_this_run)
   {
     ++run_;
     exposures_.clear();
-    // What is on its way on the other topics may be of the run before: it is forgotten when they start again, too.
+    newest_ns_ = stamp_ns;
+    // What is on its way on the other topics may be of the run before.
     for (Topics& topics : topics_)
     {
-      for (StampPolicy* other : { &topics.images, &topics.camera_infos })
+      for (Topic* other : { &topics.images, &topics.camera_infos })
       {
         if (other != &topic)
         {
-          other->reset();
+          other->stamps.reset();
+          other->of_this_run = false;
         }
       }
     }
   }
+  // A message of the run before that comes late is as far ahead as time has gone back.
+  topic.of_this_run = topic.of_this_run || stamp_ns <= newest_ns_ + StampPolicy::kJump;
+  if (!topic.of_this_run)
+  {
+    return name + ": is of the run before, which ended when time went back to " + std::to_string(newest_ns_) + " ns";
+  }
+  newest_ns_ = std::max(newest_ns_, stamp_ns);
   return std::string();
 }
 

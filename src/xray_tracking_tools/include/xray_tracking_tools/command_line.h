@@ -16,10 +16,11 @@ struct CommandLine
   std::vector<std::string> arguments;                   ///< names of the positional arguments, all required
   std::vector<std::string> optional_arguments;          ///< of those that may follow
   boost::program_options::options_description options;  ///< `--name` options; `--help` is added
+  int failure = 1;                                      ///< exit status if it goes wrong
 };
 
 /// The body of `main`: parses the command line (numbers may be negative, there are no short options), and runs `body`.
-/// Whatever goes wrong becomes one line on stderr, "<program>: <what>", and exit status 1.
+/// Whatever goes wrong becomes one line on stderr, "<program>: <what>", and exit status `failure`.
 int runCommand(int argc, char** argv, const CommandLine& command_line,
                const std::function<int(const boost::program_options::variables_map&)>& body);
 

@@ -21,7 +21,9 @@ void keepFirstExposures(Sequence& sequence, int frames);
 
 /// Writes what a detector driver would have published (docs/playback.md): `/<detector>/image_raw` (mono16, pixel
 /// values as in the files), `/<detector>/camera_info`, and `/patient_ground_truth` where there is a gold standard;
-/// message stamps and bag times are playbackTime() of the exposures. Nothing is left of an unfinished file.
+/// message stamps and bag times are playbackTime() of the exposures. And, at the beginning and an
+/// interval after the end, `/run_description`
+/// (recording.h) with the setup and the gold standard as the files have them. Nothing is left of an unfinished file.
 /// @param progress called after every exposure with (exposures written, exposures in all)
 /// @throws std::runtime_error or std::invalid_argument naming the file
 void writeSequenceBag(const Sequence& sequence, const std::string& bag_path,

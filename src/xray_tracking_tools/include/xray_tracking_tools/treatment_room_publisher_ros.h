@@ -17,11 +17,12 @@
 
 namespace xray_tracking
 {
-/// Puts a setup file's treatment room on tf and into RViz.
+/// Puts a setup file's treatment room on tf, into RViz and into recordings.
 ///
 /// Parameters: ~setup_file (path), ~trail_length (exposures).
-/// Publishes: treatment_room_markers (visualization_msgs/MarkerArray, latched); static tf treatment_room ->
-///   <detector>_optical_frame and patient -> target.
+/// Publishes: treatment_room_markers (visualization_msgs/MarkerArray, latched); run_description (std_msgs/String,
+///   latched; recording.h) with the setup and all parameters; static tf treatment_room -> <detector>_optical_frame and
+///   patient -> target.
 /// Subscribes: patient_pose, <detector>/tracked_region, beam_gate.
 /// With a bad parameter it says so and stays idle.
 class TreatmentRoomPublisherRos
@@ -50,6 +51,7 @@ private:
   bool changed_ = true;
 
   tf2_ros::StaticTransformBroadcaster broadcaster_;
+  ros::Publisher description_publisher_;
   ros::Publisher marker_publisher_;
   ros::WallTimer timer_;
   ros::Subscriber pose_subscriber_;

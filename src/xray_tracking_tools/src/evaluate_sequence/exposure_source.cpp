@@ -8,8 +8,6 @@
 #include <utility>
 
 #include <geometry_msgs/PoseStamped.h>
-#include <rosbag/bag.h>
-#include <rosbag/view.h>
 #include <sensor_msgs/CameraInfo.h>
 #include <sensor_msgs/CompressedImage.h>
 #include <sensor_msgs/Image.h>
@@ -17,25 +15,13 @@
 #include "xray_tracking_conversions/conversions.h"
 #include "xray_tracking_conversions/image_pixels.h"
 #include "xray_tracking_core/sequence/sequence.h"
-#include "xray_tracking_tools/sequence_bag.h"
+#include "xray_tracking_tools/recording.h"
 
 namespace xray_tracking
 {
 namespace
 {
-constexpr const char* kImages = "images";      // of InputFiles
-constexpr double kProjectionTolerance = 1e-3;  // [px], of what a camera_info's numbers differ by
-
-std::string lastName(const std::string& topic)
-{
-  return topic.substr(topic.rfind('/') + 1);
-}
-
-/// `detector_a` of `/room/detector_a/image_raw`.
-std::string detectorOf(const std::string& topic)
-{
-  return lastName(topic.substr(0, topic.rfind('/')));
-}
+constexpr const char* kImages = "images";  // of InputFiles
 
 /// One detector's exposure in a bag, read when it is asked for.
 struct BagImage
@@ -54,27 +40,26 @@ struct BagExposure
 
 void checkCameraInfo(const sensor_msgs::CameraInfo& info, const ProjectionGeometry& detector)
 {
-  const sensor_msgs::CameraInfo expected = cameraInfoFromGeometry(detector);
-  bool same = info.width == expected.width && info.height == expected.height;
-  for (std::size_t i = 0; i < info.P.size(); ++i)
+  const std::string difference = cameraInfoDifference(info, detector);
+  if (!difference.empty())
   {
-    same = same && std::abs(info.P[i] - expected.P[i]) <= kProjectionTolerance;
-  }
-  if (!same)
-  {
-    throw std::runtime_error(detector.name() + "/camera_info differs from the setup's detector");
+    throw std::runtime_error(detector.name() + "/camera_info differs from the setup's detector: " + difference);
   }
 }
 
 class BagReader
 {
 public:
-  explicit BagReader(const std::string& path) : path_(path), bag_(path, rosbag::bagmode::Read) {}
+  explicit BagReader(const std::string& path) : recording_(path) {}
+
+  TreatmentSetup setup(const std::string& path) const { return recording_.setup(path); }
+  const std::vector<std::string>& files() const { return recording_.files(); }
 
   std::map<std::int64_t, BagExposure> scan(const TreatmentSetup& setup)
   {
     std::map<std::int64_t, BagExposure> exposures;
-    for (const rosbag::MessageInstance& instance : rosbag::View(bag_))
+    const auto view = recording_.messages();
+    for (const rosbag::MessageInstance& instance : *view)
     {
       const std::string& topic = instance.getTopic();
       // `.../image_raw/compressed` is the detector's as `.../image_raw` is.
@@ -111,7 +96,8 @@ public:
 
   cv::Mat read(const BagImage& at)
   {
-    for (const rosbag::MessageInstance& instance : rosbag::View(bag_, rosbag::TopicQuery(at.topic), at.time, at.time))
+    const auto view = recording_.messages(at.topic, at.time);
+    for (const rosbag::MessageInstance& instance : *view)
     {
       if (stampOf(instance) == at.stamp_ns)
       {
@@ -120,7 +106,7 @@ public:
                      : pixelsFromMsg(*instance.instantiate<sensor_msgs::CompressedImage>());
       }
     }
-    throw std::runtime_error(path_ + ": " + at.topic + " has changed while it was read");
+    throw std::runtime_error(recording_.path() + ": " + at.topic + " has changed while it was read");
   }
 
 private:
@@ -167,8 +153,7 @@ private:
     }
   }
 
-  std::string path_;
-  rosbag::Bag bag_;
+  Recording recording_;
 };
 }  // namespace
 
@@ -225,11 +210,15 @@ ExposureSource bagSource(const std::string& bag_path, const std::string& setup_p
   ExposureSource source;
   source.name = std::filesystem::path(bag_path).stem().string();
   source.path = bag_path;
-  source.setup = loadTreatmentSetup(setup_path);
-  source.inputs = { { "tables", { setup_path } }, { "bag", { bag_path } } };
+  const auto reader = std::make_shared<BagReader>(bag_path);
+  source.setup = reader->setup(setup_path);
+  source.inputs = { { "tables", {} }, { "bag", reader->files() } };
+  if (!setup_path.empty())
+  {
+    source.inputs.front().files.push_back(setup_path);
+  }
   try
   {
-    const auto reader = std::make_shared<BagReader>(bag_path);
     std::vector<BagExposure> complete;
     bool all_have_truth = true;
     for (auto& [stamp_ns, exposure] : reader->scan(source.setup))

@@ -39,7 +39,7 @@ struct ExposureSource
 ExposureSource sequenceSource(const std::string& folder);
 
 /// Exposures of which every detector has an image; the gold standard is `patient_ground_truth`'s if every one has it.
-/// Geometry, CT and initial pose are the setup's.
+/// Geometry, CT and initial pose are the setup's; with an empty `setup_path` that is the one in the recording.
 /// @throws std::runtime_error naming the bag and what is wrong: no bag, no exposure, a camera_info that differs from
 /// the setup
 ExposureSource bagSource(const std::string& bag_path, const std::string& setup_path);

@@ -37,6 +37,23 @@ struct Sequence
   std::vector<std::string> tables;         ///< absolute paths of sequence.yaml and what it names but images and CT
 };
 
+/// A row of a sequence's table of frames.
+struct FrameRow
+{
+  std::int64_t stamp_ns = 0;
+  std::string detector;
+  std::string file;   ///< absolute
+  std::string where;  ///< table and line, for messages
+};
+
+/// A sequence folder's table of frames, row by row as it is: also one that loadSequence() refuses.
+/// @throws std::runtime_error naming the file, the line and what is wrong with the row itself
+std::vector<FrameRow> loadFrameTable(const std::string& directory);
+
+/// Path of the table of the gold standard that a sequence folder names; empty if it names none.
+/// @throws std::runtime_error if there is no sequence.yaml
+std::string goldStandardPath(const std::string& directory);
+
 /// Reads `DIR/sequence.yaml` and the tables it names; images are only looked for, not read. Stamps must be plain
 /// decimal numbers ("1699999999.25"; no sign, no exponent) from 0 to less than 2^32 s; digits after the ninth are
 /// rounded. Rows of one exposure may differ by `pairing_tolerance` [s] of sequence.yaml (0 to 1, default kPairingTolerance, as

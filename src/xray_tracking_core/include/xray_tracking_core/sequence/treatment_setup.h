@@ -56,6 +56,15 @@ std::vector<ProjectionGeometry> loadDetectors(const std::string& path);
 /// @throws std::runtime_error naming file, key, value and what was expected
 TreatmentSetup loadTreatmentSetup(const std::string& path);
 
+/// The same from text. @param name what stands for the file in messages, and where relative paths start
+TreatmentSetup treatmentSetupFromText(const std::string& text, const std::string& name);
+
+/// A setup file's text that says the same wherever it stands, for treatmentSetupFromText(): the CT's path is absolute,
+/// the detectors' are in it. Numbers stand there digit by digit as in the file. A block of keys, one a line, without
+/// the tables that it may name.
+/// @throws std::runtime_error as loadTreatmentSetup()
+std::string selfContainedSetup(const std::string& path);
+
 /// Writes a setup that loadTreatmentSetup reads back. @throws std::runtime_error
 void saveTreatmentSetup(const TreatmentSetup& setup, const std::string& path);
 
