@@ -1,4 +1,5 @@
 #include "xray_tracking_conversions/conversions.h"
+#include "xray_tracking_conversions/image_pixels.h"
 
 #include <cmath>
 #include <functional>
@@ -6,6 +7,7 @@
 #include <stdexcept>
 
 #include <gtest/gtest.h>
+#include <opencv2/imgcodecs.hpp>
 
 namespace xray_tracking
 {
@@ -196,6 +198,65 @@ TEST(Conversions, RegionKeepsItsPlace)
   sensor_msgs::RegionOfInterest huge = message;
   huge.width = std::numeric_limits<std::uint32_t>::max();
   expectRefused([&] { rectFromRegionMsg(huge); }, "width");
+}
+
+/// 3 x 2 pixels 1, 258, 3 / 515, 5, 65535 in every form that messages have.
+TEST(Conversions, PixelsOfEveryImage)
+{
+  cv::Mat wide = (cv::Mat_<std::uint16_t>(2, 3) << 1, 258, 3, 515, 5, 65535);
+  cv::Mat narrow = (cv::Mat_<std::uint8_t>(2, 3) << 1, 2, 3, 4, 5, 255);
+  for (const std::uint32_t padding : { 0u, 1u, 4u })
+  {
+    for (const bool big_endian : { false, true })
+    {
+      for (const char* encoding : { "mono8", "8UC1", "mono16", "16UC1" })
+      {
+        SCOPED_TRACE(testing::Message() << encoding << ", padding " << padding << ", big endian " << big_endian);
+        const cv::Mat& expected = std::string(encoding).find("16") != std::string::npos ? wide : narrow;
+        const int bytes = static_cast<int>(expected.elemSize());
+        sensor_msgs::Image message;
+        message.width = 3;
+        message.height = 2;
+        message.encoding = encoding;
+        message.is_bigendian = big_endian;
+        message.step = static_cast<std::uint32_t>(3 * bytes) + padding;
+        for (int y = 0; y < 2; ++y)
+        {
+          for (int x = 0; x < 3; ++x)
+          {
+            const int value = bytes == 1 ? narrow.at<std::uint8_t>(y, x) : wide.at<std::uint16_t>(y, x);
+            for (int byte = 0; byte < bytes; ++byte)
+            {
+              message.data.push_back(static_cast<std::uint8_t>(value >> 8 * (big_endian ? bytes - 1 - byte : byte)));
+            }
+          }
+          message.data.insert(message.data.end(), padding, 77);
+        }
+        const cv::Mat pixels = pixelsFromMsg(message);
+        ASSERT_EQ(pixels.type(), expected.type());
+        EXPECT_EQ(cv::countNonZero(pixels != expected), 0) << pixels;
+        message.data.resize(message.data.size() - padding - 1);
+        expectRefused([&] { pixelsFromMsg(message); }, "step");
+      }
+    }
+  }
+  sensor_msgs::Image colour;
+  colour.encoding = "rgb8";
+  expectRefused([&] { pixelsFromMsg(colour); }, "image.encoding");
+
+  for (const cv::Mat& image : { wide, narrow })
+  {
+    sensor_msgs::CompressedImage message;
+    message.format = "mono16; png compressed ";
+    cv::imencode(".png", image, message.data);
+    EXPECT_EQ(cv::countNonZero(pixelsFromMsg(message) != image), 0);
+    message.data.resize(message.data.size() / 2);
+    expectRefused([&] { pixelsFromMsg(message); }, "png compressed");
+  }
+  sensor_msgs::CompressedImage message;
+  expectRefused([&] { pixelsFromMsg(message); }, "compressed image");
+  cv::imencode(".png", cv::Mat(2, 3, CV_8UC3, cv::Scalar(1, 2, 3)), message.data);
+  expectRefused([&] { pixelsFromMsg(message); }, "one channel");
 }
 }  // namespace
 }  // namespace xray_tracking

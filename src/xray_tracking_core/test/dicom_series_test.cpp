@@ -153,7 +153,7 @@ TEST_F(DicomSeriesTest, Errors)
   writeSlice(volume, 35, sliceName(35));
 
   writeSeries(volume, "5.6.7");
-  expectRefused(folder_.path(), { "2 CT series", "1.2.3.4", "5.6.7", "36 files" });
+  expectRefused(folder_.path(), { "2 CT series", "ct_series: '1.2.3.4'", "ct_series: '5.6.7'", "36 slices" });
 }
 
 TEST_F(SharedDataTest, Thorax)

@@ -24,7 +24,7 @@ TEST_F(SharedDataTest, DrrLooksLikeTheXRayImage)
     cv::Mat drr;
     renderer.render(detector, sequence.setup.room_from_patient, drr);
     cv::Mat counts;
-    readXrayImage(sequence.exposures.front().files[n], detector.imageSize()).convertTo(counts, CV_32F);
+    readXrayImage(sequence.exposures.front().files[n], detector, sequence.setup.intensity).convertTo(counts, CV_32F);
     cv::Mat xray;
     cv::log((counts - sequence.setup.intensity.offset) /
                 (*sequence.setup.intensity.air_counts - sequence.setup.intensity.offset),

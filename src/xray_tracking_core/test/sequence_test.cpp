@@ -178,6 +178,54 @@ TEST(Sequence, GoldStandardMayHaveFurtherRows)
   }
 }
 
+TEST(Sequence, DetectorsMayBeExposedMillisecondsApart)
+{
+  const auto load = [](const std::string& tolerance, const std::string& stamps)
+  {
+    SequenceFolder folder;
+    folder.yaml += tolerance;
+    folder.yaml = replaced(folder.yaml, "gold_standard: gold.csv\n", "");
+    folder.frames = "stamp_s,detector,file\n" + stamps;
+    folder.write();
+    return folder.load();
+  };
+  const std::string first = "10.000,detector_b,b0.png\n10.003,detector_a,a0.png\n";
+  const Sequence sequence = load("", first + "10.0331,detector_a,a1.png\n10.0302,detector_b,b1.png\n");
+  ASSERT_EQ(sequence.exposures.size(), 2u);
+  EXPECT_EQ(sequence.exposures[0].stamp_ns, 10003000000) << "that of the first detector";
+  EXPECT_EQ(sequence.exposures[1].stamp_ns, 10033100000);
+  EXPECT_NE(sequence.exposures[1].files[1].find("b1.png"), std::string::npos);
+  // Two exposures within the tolerance are still two.
+  EXPECT_EQ(load("", first + "10.004,detector_a,a1.png\n10.004,detector_b,b1.png\n").exposures.size(), 2u);
+
+  const std::string late = "10.000,detector_a,a0.png\n10.009,detector_b,b0.png\n";
+  expectError<std::runtime_error>([&] { load("", late); }, { "frames.csv, line 3", "pairing_tolerance" });
+  EXPECT_EQ(load("pairing_tolerance: 0.01\n", late).exposures.size(), 1u);
+  expectError<std::runtime_error>([&] { load("pairing_tolerance: 0.0\n", first); }, { "frames.csv, line 3" });
+  for (const char* bad : { "-0.1", "1.5", "soon", ".nan" })
+  {
+    expectError<std::runtime_error>([&] { load(std::string("pairing_tolerance: ") + bad + "\n", first); },
+                                    { "sequence.yaml", "pairing_tolerance", bad });
+  }
+}
+
+TEST(TreatmentSetup, ChoiceOfWhatACtHolds)
+{
+  SequenceFolder folder;
+  folder.yaml += "ct_series: '1.2.3 AcquisitionNumber=2'\nct_nifti_form: sform\n";
+  folder.write();
+  const TreatmentSetup setup = folder.load().setup;
+  saveTreatmentSetup(setup, folder.folder().path("saved.yaml"));
+  const TreatmentSetup saved = loadTreatmentSetup(folder.folder().path("saved.yaml"));
+  for (const CtChoice& choice : { setup.ct_choice, saved.ct_choice })
+  {
+    EXPECT_EQ(choice.series, "1.2.3 AcquisitionNumber=2");
+    EXPECT_EQ(choice.nifti_form, NiftiForm::SFORM);
+  }
+  folder.yaml = replaced(folder.yaml, "form: sform", "form: both");
+  folder.expectLoadError({ "sequence.yaml", "ct_nifti_form", "both", "qform or sform" });
+}
+
 TEST(Sequence, StampsAreExactToTheNanosecond)
 {
   SequenceFolder folder;
@@ -400,7 +448,7 @@ TEST_F(SharedDataTest, ThoraxSequences)
       const ProjectionGeometry& detector = sequence.setup.detectors[i];
       EXPECT_EQ(detector.imageSize(), Eigen::Vector2i(512, 512));
       EXPECT_NEAR(detector.sourceToDetector(), 3800.0, 0.01);  // directions of six digits
-      const cv::Mat image = readXrayImage(sequence.exposures.back().files[i], detector.imageSize());
+      const cv::Mat image = readXrayImage(sequence.exposures.back().files[i], detector, sequence.setup.intensity);
       EXPECT_GT(cv::mean(image)[0], sequence.setup.intensity.offset);
       // The region is the target's projection, rounded in its author's way.
       const cv::Rect& drawn = sequence.setup.regions.at(detector.name());

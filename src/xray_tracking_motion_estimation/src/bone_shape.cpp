@@ -45,7 +45,7 @@ std::vector<Eigen::Vector3d> bonePoints(const TreatmentSetup& setup)
     return bonePoints(setup.target_box, kBoneHu,
                       [&](const Eigen::Vector3d& point) { return huFromMaterials(phantom.at(point)); });
   }
-  const PatientCt read = readPatientCt(setup.ct_path, setup.ct_content);
+  const PatientCt read = readPatientCt(setup.ct_path, setup.ct_content, setup.ct_choice);
   const CtVolume& ct = read.volume;
   const Eigen::Affine3d index_from_patient = ct.grid.patient_from_index.inverse();
   const auto nearest = [&](const Eigen::Vector3d& point)

@@ -76,7 +76,7 @@ public:
     {
       const ProjectionGeometry& detector = sequence_.setup.detectors[v];
       request.views.push_back(
-          { detector, readXrayImage(sequence_.exposures[exposure].files[v], detector.imageSize()) });
+          { detector, readXrayImage(sequence_.exposures[exposure].files[v], detector, sequence_.setup.intensity) });
     }
     request.intensity = sequence_.setup.intensity;
     request.room_from_patient =

@@ -28,7 +28,7 @@ RegistrationRequest requestFor(const Sequence& sequence, std::size_t exposure, s
   for (std::size_t v = 0; v < setup.detectors.size(); ++v)
   {
     request.views.push_back(
-        { setup.detectors[v], readXrayImage(sequence.exposures[exposure].files[v], setup.detectors[v].imageSize()) });
+        { setup.detectors[v], readXrayImage(sequence.exposures[exposure].files[v], setup.detectors[v], setup.intensity) });
   }
   request.intensity = setup.intensity;
   request.room_from_patient = motionAbout(gold * setup.targetCentre(), randomTwist(random, 1.0, 2.0)) * gold;

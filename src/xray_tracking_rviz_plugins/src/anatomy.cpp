@@ -179,14 +179,14 @@ std::string AnatomySource::key() const
     text << "phantom";
     return text.str();
   }
-  text << nameOf(content);
+  text << nameOf(content) << "|" << ct_choice.series << "|" << static_cast<int>(ct_choice.nifti_form);
   const auto add = [&](const fs::path& file)
   { text << "|" << file.string() << " " << fs::last_write_time(file) << " " << fs::file_size(file); };
   try
   {
     if (fs::is_directory(ct_path))
     {
-      std::vector<fs::path> files(fs::directory_iterator(ct_path), fs::directory_iterator{});
+      std::vector<fs::path> files(fs::recursive_directory_iterator(ct_path), fs::recursive_directory_iterator{});
       std::sort(files.begin(), files.end());
       for (const fs::path& file : files)
       {
@@ -322,7 +322,7 @@ Anatomy makeAnatomy(const AnatomySource& source, const std::atomic<bool>& stop)
 {
   Anatomy anatomy;
   const PatientCt ct = source.phantom ? PatientCt{ NeckPhantom().sampleCt(kPhantomCt), CtContent::FULL }
-                                      : readPatientCt(source.ct_path, source.content);
+                                      : readPatientCt(source.ct_path, source.content, source.ct_choice);
   if (stop)
   {
     return anatomy;

@@ -35,6 +35,7 @@ struct AnatomySource
   std::string ct_path;
   CtContent content = CtContent::RECOGNISED;
   Eigen::AlignedBox3d target_box;  ///< patient frame [mm]
+  CtChoice ct_choice;
 
   /// Of all that the result hangs on: a file's name, time and size among it, and this code's version. Of a folder, of
   /// all files in it. @throws std::runtime_error naming the path if it is not there

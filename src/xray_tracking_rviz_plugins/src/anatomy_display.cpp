@@ -252,7 +252,7 @@ void AnatomyDisplay::followRoom()
     // The registration's own word goes before.
     const std::string ct_path = volume_.value_or(source == "phantom" ? "" : setup_->ct_path);
     shown_ = ct_path.empty() ? "the neck phantom" : ct_path;
-    loader_->load({ ct_path.empty(), ct_path, setup_->ct_content, setup_->target_box });
+    loader_->load({ ct_path.empty(), ct_path, setup_->ct_content, setup_->target_box, setup_->ct_choice });
     wanted_ = false;
   }
   const std::string& what = shown_;

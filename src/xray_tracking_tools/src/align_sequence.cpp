@@ -48,10 +48,11 @@ int alignSequence(const po::variables_map& arguments)
   for (std::size_t d = 0; d < setup.detectors.size(); ++d)
   {
     const ProjectionGeometry& detector = setup.detectors[d];
-    request.views.push_back({ detector, readXrayImage(sequence.exposures.front().files[d], detector.imageSize()) });
+    request.views.push_back(
+        { detector, readXrayImage(sequence.exposures.front().files[d], detector, sequence.setup.intensity) });
   }
   std::cerr << "reading " << setup.ct_path << std::endl;
-  const PatientCt ct = readPatientCt(setup.ct_path, setup.ct_content);
+  const PatientCt ct = readPatientCt(setup.ct_path, setup.ct_content, setup.ct_choice);
   const Registration registration(bodiesOf(ct, targetMaskOf(ct, setup.target_box)), setup.target_box);
   const RegistrationResult result = registration.run(request);
   if (result.status == RegistrationStatus::INVALID)

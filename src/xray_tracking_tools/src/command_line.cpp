@@ -1,5 +1,7 @@
 #include "xray_tracking_tools/command_line.h"
 
+#include <unistd.h>
+
 #include <chrono>
 #include <filesystem>
 #include <iostream>
@@ -66,11 +68,22 @@ void requireAtLeast(const std::string& option, double value, double least)
 
 void Progress::operator()(std::size_t done, std::size_t total)
 {
+  constexpr std::size_t kBar = 30;           // characters
+  constexpr double kTerminalInterval = 0.1;  // [s]
+  const bool terminal = isatty(STDERR_FILENO) != 0;
   const double now_s = std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
-  if (done == total || now_s - last_s_ >= 1.0)
+  if (done != total && now_s - last_s_ < (terminal ? kTerminalInterval : 1.0))
+  {
+    return;
+  }
+  last_s_ = now_s;
+  if (!terminal)
   {
     std::cerr << what_ << " " << done << " / " << total << std::endl;
-    last_s_ = now_s;
+    return;
   }
+  const std::size_t filled = total > 0 ? kBar * done / total : kBar;
+  std::cerr << '\r' << what_ << " [" << std::string(filled, '#') << std::string(kBar - filled, '.') << "] " << done
+            << " / " << total << (done == total ? "\n" : "") << std::flush;
 }
 }  // namespace xray_tracking

@@ -1,6 +1,10 @@
+#include <sys/wait.h>
+#include <unistd.h>
+
 #include <algorithm>
+#include <cerrno>
 #include <chrono>
-#include <ctime>
+#include <cstring>
 #include <filesystem>
 #include <functional>
 #include <iostream>
@@ -13,13 +17,20 @@
 #include <string>
 #include <vector>
 
+#include <nlohmann/json.hpp>
+
 #include "evaluate_sequence/exposure_source.h"
+#include "evaluate_sequence/method_record.h"
 #include "evaluate_sequence/offline_run.h"
 #include "evaluate_sequence/paper_registration.h"
+#include "evaluate_sequence/processor_time.h"
+#include "evaluate_sequence/run_description.h"
+#include "evaluate_sequence/run_pictures.h"
 #include "xray_tracking_core/evaluation/evaluation.h"
 #include "xray_tracking_core/volume/ct_content.h"
 #include "xray_tracking_registration/registration.h"
 #include "xray_tracking_tools/command_line.h"
+#include "xray_tracking_tools/json_file.h"
 
 namespace po = boost::program_options;
 
@@ -32,11 +43,15 @@ constexpr const char* kPaperRegistration = "paper_registration";
 const std::vector<std::string> kMethods = { "tracking", "registration", "tracking_and_registration", kPaperTracking,
                                             kPaperRegistration };
 
-/// What a method made of an exposure, and why there is no pose.
+/// Of which pictures are made: the first of them that was run.
+const std::vector<std::string> kPictured = { "tracking_and_registration", "registration", "tracking",
+                                             kPaperRegistration, kPaperTracking };
+
+/// What a method made of an exposure.
 struct Answer
 {
   std::optional<RigidTransform> room_from_patient;
-  std::string reason;
+  ExposureRecord record;
 };
 using Method = std::function<Answer(std::int64_t stamp_ns, const std::vector<cv::Mat>& images)>;
 
@@ -101,12 +116,16 @@ public:
   {
     if (!two_bodies_)
     {
-      two_bodies_ = std::make_shared<const Registration>(bodiesOf(ct(), targetMaskOf(ct(), setup_.target_box)),
-                                                         setup_.target_box);
+      const BodyModel bodies = bodiesOf(ct(), targetMaskOf(ct(), setup_.target_box));
+      target_ = std::make_unique<const ShearWarpRenderer>(bodies.target);
+      two_bodies_ = std::make_shared<const Registration>(bodies, setup_.target_box);
     }
     return two_bodies_;
   }
   BodyModel oneBody() { return bodiesOf(ct(), std::nullopt); }
+
+  /// The target's DRRs; null if no method needed its bodies.
+  const ShearWarpRenderer* target() const { return target_.get(); }
 
 private:
   const PatientCt& ct()
@@ -114,7 +133,7 @@ private:
     if (!ct_)
     {
       std::cerr << "reading " << setup_.ct_path << std::endl;
-      ct_ = readPatientCt(setup_.ct_path, setup_.ct_content);
+      ct_ = readPatientCt(setup_.ct_path, setup_.ct_content, setup_.ct_choice);
     }
     return *ct_;
   }
@@ -122,36 +141,73 @@ private:
   const TreatmentSetup& setup_;
   std::optional<PatientCt> ct_;
   std::shared_ptr<const Registration> two_bodies_;
+  std::unique_ptr<const ShearWarpRenderer> target_;
 };
+
+const char* nameOf(PoseSource source)
+{
+  return source == PoseSource::REGISTERED ? "registered" : source == PoseSource::TRACKED ? "tracked" : "none";
+}
+
+ExposureRecord recordOf(const MotionDecision& decision, const OfflineRun& run, bool registers)
+{
+  ExposureRecord record;
+  const bool has_pose = decision.state == MotionState::OK;
+  record.source = nameOf(decision.source);
+  record.reason = !has_pose ? decision.reason : registers ? decision.not_registered : "";
+  record.gate = gateReasonName(run.gate().reason());
+  record.gate_text = run.gate().text();
+  if (decision.views > 0)
+  {
+    record.disagreement_px = decision.disagreement;
+    record.chi_square = decision.chi_square;
+    record.degrees_of_freedom = decision.degrees_of_freedom;
+  }
+  if (has_pose)
+  {
+    record.covariance = decision.pose_covariance;
+  }
+  record.views = run.lastViews();
+  if (registers)
+  {
+    record.registration_cpu_s = run.registrationSeconds();
+  }
+  return record;
+}
 
 Method makeMethod(const std::string& name, const TreatmentSetup& setup, CtModels& models)
 {
   if (name == kPaperRegistration)
   {
     const auto run = std::make_shared<PaperRegistration>(setup, models.oneBody());
-    return [run](std::int64_t, const std::vector<cv::Mat>& images) {
-      return Answer{ run->add(images), "the registration found no pose" };
+    return [run](std::int64_t, const std::vector<cv::Mat>& images)
+    {
+      const double start = processorSeconds();
+      Answer answer{ run->add(images), {} };
+      answer.record.source = nameOf(answer.room_from_patient ? PoseSource::REGISTERED : PoseSource::NONE);
+      answer.record.reason = answer.room_from_patient ? "" : "the registration found no pose";
+      answer.record.registration_cpu_s = processorSeconds() - start;
+      return answer;
     };
   }
   const bool paper = name == kPaperTracking;
   const PoseMethod method = paper ? PoseMethod::TRACKING : poseMethodFromName(name);
   const auto run = std::make_shared<OfflineRun>(setup, method, needsCt(name) ? models.twoBodies() : nullptr, paper);
-  return [run](std::int64_t stamp_ns, const std::vector<cv::Mat>& images)
+  return [run, method](std::int64_t stamp_ns, const std::vector<cv::Mat>& images)
   {
     const MotionDecision decision = run->add(stamp_ns, images);
-    return decision.state == MotionState::OK ? Answer{ decision.room_from_patient, "" }
-                                             : Answer{ std::nullopt, decision.reason };
+    Answer answer{ std::nullopt, recordOf(decision, *run, method != PoseMethod::TRACKING) };
+    if (decision.state == MotionState::OK)
+    {
+      answer.room_from_patient = decision.room_from_patient;
+    }
+    return answer;
   };
 }
 
-double processorSeconds()
-{
-  return static_cast<double>(std::clock()) / CLOCKS_PER_SEC;
-}
-
-/// @param times whether the result has them
+/// @param times whether the result has them, too
 MethodResult runMethod(const std::string& name, const ExposureSource& source, CtModels& models, bool times,
-                       std::vector<std::string>& problems)
+                       RecordWriter& records, std::vector<std::string>& problems)
 {
   MethodResult result;
   result.method = name;
@@ -162,21 +218,42 @@ MethodResult runMethod(const std::string& name, const ExposureSource& source, Ct
     const std::vector<cv::Mat> images = source.images(k);
     const auto wall = std::chrono::steady_clock::now();
     const double cpu = processorSeconds();
-    const Answer answer = method(source.stamps_ns[k], images);
+    Answer answer = method(source.stamps_ns[k], images);
+    answer.record.cpu_s = processorSeconds() - cpu;
+    answer.record.wall_s = std::chrono::duration<double>(std::chrono::steady_clock::now() - wall).count();
     FrameResult frame;
-    frame.cpu_s = times ? processorSeconds() - cpu : std::numeric_limits<double>::quiet_NaN();
-    frame.wall_s = times ? std::chrono::duration<double>(std::chrono::steady_clock::now() - wall).count()
-                         : std::numeric_limits<double>::quiet_NaN();
+    frame.cpu_s = times ? answer.record.cpu_s : std::numeric_limits<double>::quiet_NaN();
+    frame.wall_s = times ? answer.record.wall_s : std::numeric_limits<double>::quiet_NaN();
     frame.status = answer.room_from_patient ? FrameStatus::OK : FrameStatus::LOST;
     frame.room_from_patient = answer.room_from_patient.value_or(RigidTransform::Identity());
     result.frames.push_back(frame);
     if (!answer.room_from_patient)
     {
-      problems.push_back("frame " + std::to_string(k) + " of " + name + " lost: " + answer.reason);
+      problems.push_back("frame " + std::to_string(k) + " of " + name + " lost: " + answer.record.reason);
     }
+    records.add(k, source.stamps_ns[k], name, answer.record);
     progress(k + 1, source.stamps_ns.size());
   }
   return result;
+}
+
+/// Writes report.html by the program of that name, which lies beside this one. @throws std::runtime_error if it fails
+void writeReport(const std::string& folder)
+{
+  const std::string program = (std::filesystem::read_symlink("/proc/self/exe").parent_path() / "write_report").string();
+  std::cout.flush();
+  const pid_t child = fork();
+  if (child == 0)
+  {
+    execl(program.c_str(), program.c_str(), folder.c_str(), static_cast<char*>(nullptr));
+    std::cerr << program << ": " << std::strerror(errno) << std::endl;
+    _exit(127);
+  }
+  int status = 0;
+  if (child < 0 || waitpid(child, &status, 0) != child || status != 0)
+  {
+    throw std::runtime_error(folder + "/report.html was not written; all other results are there");
+  }
 }
 
 int evaluateSequence(const po::variables_map& arguments)
@@ -203,13 +280,39 @@ int evaluateSequence(const po::variables_map& arguments)
   evaluation.stamps_ns = source.stamps_ns;
   evaluation.gold_standard = source.gold_standard;
   evaluation.target_box = source.setup.target_box;
+  const std::string out = arguments["out"].as<std::string>();
+  std::filesystem::create_directories(out);
+  for (const char* name : { "run.json", "report.html" })
+  {
+    std::filesystem::remove(std::filesystem::path(out) / name);  // of an earlier run: the last that are written
+  }
+  std::vector<std::string> detectors;
+  for (const ProjectionGeometry& detector : source.setup.detectors)
+  {
+    detectors.push_back(detector.name());
+  }
+  RecordWriter records(out, detectors);
   CtModels models(source.setup);
   std::vector<std::string> problems;
   for (const std::string& method : methods)
   {
-    evaluation.methods.push_back(runMethod(method, source, models, arguments.count("times") != 0, problems));
+    evaluation.methods.push_back(runMethod(method, source, models, arguments.count("times") != 0, records, problems));
   }
-  writeEvaluation(evaluation, arguments["out"].as<std::string>());
+  records.close();
+  writeEvaluation(evaluation, out);
+  writeGoldStandard(evaluation, out);
+  nlohmann::json run = describeRun(source, methods);
+  const auto pictured = std::find_if(kPictured.begin(), kPictured.end(),
+                                     [&methods](const std::string& method)
+                                     { return std::find(methods.begin(), methods.end(), method) != methods.end(); });
+  const auto shown = std::find(methods.begin(), methods.end(), *pictured) - methods.begin();
+  run["pictures"] = drawPictures(source, evaluation.methods[static_cast<std::size_t>(shown)], models.target(), out);
+  run["pictures_of"] = *pictured;
+  writeJsonFile(out + "/run.json", run);
+  if (arguments.count("no_report") == 0)
+  {
+    writeReport(out);
+  }
   std::cout << formatTable(evaluation) << std::flush;
   for (const std::string& problem : problems)
   {
@@ -224,12 +327,13 @@ int main(int argc, char** argv)
 {
   xray_tracking::CommandLine command_line;
   command_line.usage =
-      "--sequence DIR | --bag BAG --setup SETUP.yaml --out DIR [--methods LIST] [--frames N] [--times]";
+      "--sequence DIR | --bag BAG --setup SETUP.yaml --out DIR [--methods LIST] [--frames N] [--times] [--no_report]";
   command_line.description =
       "Runs methods over a sequence folder's or a bag's exposures without ROS, by the rules of the live graph and as\n"
-      "fast as the machine goes, and judges them as evaluate_bag does: tre.csv, poses.csv, summary.json, a table. The\n"
-      "same exposures give the same files to the last bit. Exit status 0 only if every method has a pose of every "
-      "exposure.";
+      "fast as the machine goes, and judges them as evaluate_bag does: report.html, what it is made of, a table. The "
+      "same\n"
+      "exposures give the same files to the last bit, but for times.csv and the report. Exit status 0 only if every\n"
+      "method has a pose of every exposure.";
   command_line.options.add_options()("sequence", po::value<std::string>(), "sequence folder")(
       "bag", po::value<std::string>(), "bag with image_raw and camera_info of every detector")(
       "setup", po::value<std::string>(), "of a bag: geometry, CT, initial pose, target box")(
@@ -237,6 +341,7 @@ int main(int argc, char** argv)
       "methods", po::value<std::string>(),
       "some of tracking, registration, tracking_and_registration, paper_tracking, paper_registration, with commas; "
       "default: the first three, without a CT the first")("frames", po::value<int>(), "the first N exposures alone")(
-      "times", "the files have the times too, which differ from run to run");
+      "times", "tre.csv and summary.json have the times too, which differ from run to run")(
+      "no_report", "of runs whose results are put together later: no report.html");
   return xray_tracking::runCommand(argc, argv, command_line, xray_tracking::evaluateSequence);
 }

@@ -26,7 +26,7 @@ ExposureSet sequenceExposures(const std::string& folder)
     std::vector<cv::Mat> images;
     for (std::size_t d = 0; d < exposure.files.size(); ++d)
     {
-      images.push_back(readXrayImage(exposure.files[d], sequence.setup.detectors[d].imageSize()));
+      images.push_back(readXrayImage(exposure.files[d], sequence.setup.detectors[d], sequence.setup.intensity));
     }
     set.images.push_back(images);
   }

@@ -12,12 +12,13 @@ namespace xray_tracking
 {
 namespace
 {
-Eigen::Vector3d targetCentre(const po::variables_map& arguments, const std::string& ct_path, double edge)
+Eigen::Vector3d targetCentre(const po::variables_map& arguments, const std::string& ct_path, const CtChoice& choice,
+                             double edge)
 {
   if (arguments.count("target") == 0)
   {
     std::cerr << "reading " << ct_path << std::endl;
-    return findBonyTarget(readCtVolume(ct_path), edge);
+    return findBonyTarget(readCtVolume(ct_path, choice), edge);
   }
   const std::vector<double>& target = arguments["target"].as<std::vector<double>>();
   const Eigen::Vector3d centre = target.size() == 3 ? Eigen::Vector3d(target.data()) : Eigen::Vector3d::Constant(NAN);
@@ -38,9 +39,22 @@ int setupFromCt(const po::variables_map& arguments)
   {
     throw std::invalid_argument(ct_path + ": no such file or folder");
   }
-  const Eigen::Vector3d centre = targetCentre(arguments, ct_path, edge);
-
   TreatmentSetup setup;
+  if (arguments.count("series") != 0)
+  {
+    setup.ct_choice.series = arguments["series"].as<std::string>();
+  }
+  if (arguments.count("nifti_form") != 0)
+  {
+    const std::string form = arguments["nifti_form"].as<std::string>();
+    if (form != "qform" && form != "sform")
+    {
+      throw std::invalid_argument("--nifti_form is " + form + ", expected qform or sform");
+    }
+    setup.ct_choice.nifti_form = form == "qform" ? NiftiForm::QFORM : NiftiForm::SFORM;
+  }
+  const Eigen::Vector3d centre = targetCentre(arguments, ct_path, setup.ct_choice, edge);
+
   setup.ct_path = std::filesystem::canonical(ct_path).string();
   setup.intensity.offset = 100.0;
   setup.intensity.air_counts = 60000.0;
@@ -60,12 +74,15 @@ int setupFromCt(const po::variables_map& arguments)
 int main(int argc, char** argv)
 {
   xray_tracking::CommandLine command_line;
-  command_line.usage = "CT OUT.yaml [--target X Y Z] [--edge 50]";
+  command_line.usage = "CT OUT.yaml [--target X Y Z] [--edge 50] [--series UID] [--nifti_form qform|sform]";
   command_line.description =
       "Writes a setup file for a CT of which nothing else is known: CyberKnife geometry, the target in the isocentre.";
   command_line.arguments = { "CT", "OUT.yaml" };
   command_line.options.add_options()("target", po::value<std::vector<double>>()->multitoken(),
                                      "target's centre, patient frame (LPS) [mm]; default: where most bone is")(
-      "edge", po::value<double>()->default_value(50.0), "edge of the target box [mm]");
+      "edge", po::value<double>()->default_value(50.0), "edge of the target box [mm]")(
+      "series", po::value<std::string>(),
+      "DICOM series, where the folder holds several CT volumes: as their list has it")(
+      "nifti_form", po::value<std::string>(), "which one holds where a NIfTI file's qform and sform differ");
   return xray_tracking::runCommand(argc, argv, command_line, xray_tracking::setupFromCt);
 }

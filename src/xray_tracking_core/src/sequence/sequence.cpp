@@ -142,31 +142,42 @@ void checkComplete(const TreatmentSetup& setup, const Exposure& exposure, const 
   {
     if (exposure.files[i].empty())
     {
-      row.fail("the exposure before this has no image of " + setup.detectors[i].name());
+      row.fail("the exposure before this has no image of " + setup.detectors[i].name() +
+               " (are stamps of one exposure farther apart than pairing_tolerance in sequence.yaml?)");
     }
   }
 }
 
-std::vector<Exposure> readExposures(const TreatmentSetup& setup, const std::filesystem::path& path)
+/// Rows whose stamps are at most `tolerance` [ns] from that of the first row of an exposure belong to it, unless it has
+/// an image of their detector already. The exposure's stamp is that of the first detector.
+std::vector<Exposure> readExposures(const TreatmentSetup& setup, const std::filesystem::path& path,
+                                    std::int64_t tolerance)
 {
   std::vector<Exposure> exposures;
   CsvReader row(path.string(), { "stamp_s", "detector", "file" });
+  std::int64_t first = 0;
   while (row.next())
   {
     const std::int64_t stamp = row.stamp();
-    if (exposures.empty() || stamp > exposures.back().stamp_ns)
+    const std::size_t detector = detectorIndex(setup, row);
+    const bool near = !exposures.empty() && std::abs(stamp - first) <= tolerance;
+    if (!exposures.empty() && !near && stamp < first)
+    {
+      row.fail("stamp_s " + row.text("stamp_s") + " is before that of the line above: expected stamps that grow");
+    }
+    if (!near || (stamp > first && !exposures.back().files[detector].empty()))
     {
       if (!exposures.empty())
       {
         checkComplete(setup, exposures.back(), row);
       }
       exposures.push_back({ stamp, std::vector<std::string>(setup.detectors.size()) });
+      first = stamp;
     }
-    else if (stamp < exposures.back().stamp_ns)
+    if (detector == 0)
     {
-      row.fail("stamp_s " + row.text("stamp_s") + " is before that of the line above: expected stamps that grow");
+      exposures.back().stamp_ns = stamp;
     }
-    const std::size_t detector = detectorIndex(setup, row);
     std::string& file = exposures.back().files[detector];
     if (!file.empty())
     {
@@ -186,22 +197,28 @@ std::vector<Exposure> readExposures(const TreatmentSetup& setup, const std::file
   return exposures;
 }
 
-/// The poses at the exposures; the table may hold further ones in between.
-std::vector<StampedPose> readGoldStandard(const std::vector<Exposure>& exposures, const std::filesystem::path& path)
+/// The poses nearest to the exposures, within the tolerance [ns]; the table may hold further ones in between.
+std::vector<StampedPose> readGoldStandard(const std::vector<Exposure>& exposures, const std::filesystem::path& path,
+                                          std::int64_t tolerance)
 {
+  const std::vector<StampedPose> table = loadPoses(path.string());
   std::vector<StampedPose> poses;
-  for (const StampedPose& pose : loadPoses(path.string()))
+  for (const Exposure& exposure : exposures)
   {
-    if (poses.size() < exposures.size() && exposures[poses.size()].stamp_ns == pose.stamp_ns)
+    const auto away = [&](const StampedPose& pose) { return std::abs(pose.stamp_ns - exposure.stamp_ns); };
+    auto nearest = std::lower_bound(table.begin(), table.end(), exposure.stamp_ns,
+                                    [](const StampedPose& pose, std::int64_t stamp) { return pose.stamp_ns < stamp; });
+    if (nearest != table.begin() && (nearest == table.end() || away(*std::prev(nearest)) < away(*nearest)))
     {
-      poses.push_back(pose);
+      --nearest;
     }
-  }
-  if (poses.size() < exposures.size())
-  {
-    std::ostringstream seconds;
-    seconds << std::fixed << std::setprecision(9) << exposures[poses.size()].stamp_ns * 1e-9;
-    throw std::runtime_error(path.string() + ": no pose for the exposure at " + seconds.str() + " s");
+    if (nearest == table.end() || away(*nearest) > tolerance)
+    {
+      std::ostringstream seconds;
+      seconds << std::fixed << std::setprecision(9) << exposure.stamp_ns * 1e-9;
+      throw std::runtime_error(path.string() + ": no pose for the exposure at " + seconds.str() + " s");
+    }
+    poses.push_back({ exposure.stamp_ns, nearest->room_from_patient });
   }
   return poses;
 }
@@ -239,10 +256,22 @@ Sequence loadSequence(const std::string& directory)
   Sequence sequence;
   sequence.setup = loadTreatmentSetup(path);
   const YamlField root = YamlField::fromFile(path);
-  sequence.exposures = readExposures(sequence.setup, folder / root.get("frames").text());
+  double tolerance_s = kPairingTolerance;
+  if (const auto tolerance = root.find("pairing_tolerance"))
+  {
+    tolerance_s = tolerance->number<double>();
+    if (!(tolerance_s >= 0.0 && tolerance_s <= 1.0))
+    {
+      tolerance->fail("0 to 1 s, less than half the time between exposures");
+    }
+  }
+  const auto tolerance_ns = static_cast<std::int64_t>(std::llround(tolerance_s * 1e9));
+  sequence.tables = { path, (folder / root.get("frames").text()).string() };
+  sequence.exposures = readExposures(sequence.setup, sequence.tables.back(), tolerance_ns);
   if (const auto gold_standard = root.find("gold_standard"))
   {
-    sequence.gold_standard = readGoldStandard(sequence.exposures, folder / gold_standard->text());
+    sequence.tables.push_back((folder / gold_standard->text()).string());
+    sequence.gold_standard = readGoldStandard(sequence.exposures, sequence.tables.back(), tolerance_ns);
   }
   return sequence;
 }

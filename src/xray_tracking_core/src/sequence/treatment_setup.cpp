@@ -194,6 +194,18 @@ TreatmentSetup loadTreatmentSetup(const std::string& path)
       content->fail("recognised, full, bone_in_air or labels");
     }
   }
+  if (const auto series = root.find("ct_series"))
+  {
+    setup.ct_choice.series = series->text();
+  }
+  if (const auto form = root.find("ct_nifti_form"))
+  {
+    if (form->text() != "qform" && form->text() != "sform")
+    {
+      form->fail("qform or sform");
+    }
+    setup.ct_choice.nifti_form = form->text() == "qform" ? NiftiForm::QFORM : NiftiForm::SFORM;
+  }
   if (const auto intensity = root.find("intensity"))
   {
     setup.intensity = readIntensity(*intensity);
@@ -229,6 +241,14 @@ void saveTreatmentSetup(const TreatmentSetup& setup, const std::string& path)
     root["ct"] = setup.ct_path;
   }
   root["ct_content"] = nameOf(setup.ct_content);
+  if (!setup.ct_choice.series.empty())
+  {
+    root["ct_series"] = setup.ct_choice.series;
+  }
+  if (setup.ct_choice.nifti_form != NiftiForm::AGREED)
+  {
+    root["ct_nifti_form"] = setup.ct_choice.nifti_form == NiftiForm::QFORM ? "qform" : "sform";
+  }
   root["intensity"]["kind"] = setup.intensity.kind == IntensityModel::Kind::COUNTS ? "counts" : "attenuation";
   root["intensity"]["offset"] = setup.intensity.offset;
   if (setup.intensity.air_counts)

@@ -1,30 +1,61 @@
 #include <array>
 #include <filesystem>
 #include <fstream>
+#include <sstream>
 #include <stdexcept>
 #include <string>
+#include <vector>
 
-#include <itkGDCMImageIO.h>
-#include <itkImage.h>
-#include <itkImageFileReader.h>
 #include <opencv2/imgcodecs.hpp>
 
-#include "../volume/dicom_pixels.h"
+#include "../volume/dicom_file.h"
+#include "xray_formats.h"
 #include "xray_tracking_core/sequence/sequence.h"
 
 namespace xray_tracking
 {
 namespace
 {
-bool isPngOrTiff(const std::string& path)
+/// Of line integrals in floating point: 16 bit hold up to 16 of them, a body's width of bone, in steps that are far
+/// below what noise allows.
+constexpr double kPerLineIntegral = 4096.0;
+/// Noise of a line integral behind air alone may be negative; so far is none.
+constexpr double kLeastLineIntegral = -1.0;
+/// Counts in floating point up to here only are a fraction of something.
+constexpr double kFewestCounts = 32.0;
+
+[[noreturn]] void fail(const std::string& path, const std::string& what)
+{
+  throw std::runtime_error(path + ": " + what);
+}
+
+enum class Format
+{
+  PNG,
+  TIFF,
+  OTHER
+};
+
+Format formatOf(const std::string& path)
 {
   std::array<char, 4> start{};
   std::ifstream(path, std::ios::binary).read(start.data(), start.size());
   const std::string magic(start.data(), start.size());
-  return magic == "\x89PNG" || magic == std::string("II*\0", 4) || magic == std::string("MM\0*", 4);
+  if (magic == "\x89PNG")
+  {
+    return Format::PNG;
+  }
+  for (const char version : { '\x2a', '\x2b' })  // 2b: of files beyond 4 GB
+  {
+    if (magic == std::string{ 'I', 'I', version, '\0' } || magic == std::string{ 'M', 'M', '\0', version })
+    {
+      return Format::TIFF;
+    }
+  }
+  return Format::OTHER;
 }
 
-cv::Mat readPngOrTiff(const std::string& path)
+cv::Mat readPng(const std::string& path)
 {
   cv::Mat image;
   try
@@ -33,85 +64,109 @@ cv::Mat readPngOrTiff(const std::string& path)
   }
   catch (const cv::Exception& error)
   {
-    throw std::runtime_error(path + ": not readable: " + error.what());
+    fail(path, std::string("not readable: ") + error.what());
   }
   if (image.empty())
   {
-    throw std::runtime_error(path + ": not readable or truncated");
-  }
-  if (image.type() != CV_8UC1 && image.type() != CV_16UC1)
-  {
-    throw std::runtime_error(path + ": has " + std::to_string(image.channels()) + " channels of " +
-                             std::to_string(8 * image.elemSize1()) +
-                             " bit: expected one channel of 8 or 16 bit without sign");
+    fail(path, "not readable or truncated");
   }
   return image;
 }
 
-cv::Mat readDicom(const std::string& path, itk::GDCMImageIO* io)
+/// Grey values that are stored as colours, which are all the same, or with transparency, of which there is none.
+cv::Mat greyOf(const cv::Mat& image, const std::string& path)
 {
-  // Wider than what the file may hold, so that a value that does not fit shows instead of wrapping around.
-  using Image = itk::Image<int, 2>;
-  auto reader = itk::ImageFileReader<Image>::New();
-  reader->SetImageIO(io);
-  reader->SetFileName(path);
-  try
+  const int channels = image.channels();
+  if (channels == 1)
   {
-    reader->UpdateOutputInformation();
-    if (io->GetNumberOfComponents() != 1 || (io->GetNumberOfDimensions() > 2 && io->GetDimensions(2) != 1))
+    return image;
+  }
+  std::vector<cv::Mat> planes;
+  cv::split(image, planes);
+  if (channels % 2 == 0)
+  {
+    double opaque = 0.0;
+    cv::minMaxLoc(planes.back(), &opaque);
+    if (image.depth() > CV_16U || opaque != (image.depth() == CV_8U ? 255.0 : 65535.0))
     {
-      throw std::runtime_error(path + ": expected one frame with one channel");
+      fail(path, "has an alpha channel that is not opaque everywhere: expected one channel of grey values");
     }
-    requireAllDicomPixels(path);
-    reader->Update();
+    planes.pop_back();
   }
-  catch (const itk::ExceptionObject& error)
+  for (const cv::Mat& plane : planes)
   {
-    throw std::runtime_error(path + ": not readable or truncated: " + error.GetDescription());
+    if (cv::norm(plane, planes.front(), cv::NORM_INF) > 0.0)
+    {
+      fail(path, "has " + std::to_string(channels) +
+                     " channels that differ, colours: expected one channel of grey "
+                     "values");
+    }
   }
-  const auto size = reader->GetOutput()->GetLargestPossibleRegion().GetSize();
-  const cv::Mat values(static_cast<int>(size[1]), static_cast<int>(size[0]), CV_32SC1,
-                       reader->GetOutput()->GetBufferPointer());
-  double min = 0.0;
-  double max = 0.0;
-  cv::minMaxLoc(values, &min, &max);
-  if (min < 0.0 || max > 65535.0)
+  return planes.front();
+}
+
+cv::Mat countsOf(const cv::Mat& values, IntensityModel::Kind kind, bool floating, const std::string& path)
+{
+  double scale = 1.0;
+  double min = 0.0, max = 0.0;
+  if (values.depth() != CV_8U && values.depth() != CV_16U)
   {
-    throw std::runtime_error(path + ": has values from " + std::to_string(int(min)) + " to " +
-                             std::to_string(int(max)) + ": expected 0 to 65535");
+    if (!cv::checkRange(values))
+    {
+      fail(path, "has values that are not finite");
+    }
+    cv::minMaxLoc(values, &min, &max);
+    std::ostringstream range;
+    range << "has values from " << min << " to " << max << ": expected ";
+    if (floating && kind == IntensityModel::Kind::ATTENUATION)
+    {
+      scale = kPerLineIntegral;
+      if (min < kLeastLineIntegral || max * scale > 65535.0 || !(max > 0.0))
+      {
+        fail(path, range.str() + "line integrals (kind: attenuation in floating point), 0 to 16");
+      }
+    }
+    else if (min < 0.0 || max > 65535.0 || (floating && max < kFewestCounts))
+    {
+      fail(path, range.str() + (floating ? "counts, 0 to 65535, not a share of something" : "0 to 65535"));
+    }
   }
-  return values.clone();
+  cv::Mat counts;
+  values.convertTo(counts, CV_16U, scale);
+  return counts;
 }
 }  // namespace
 
-cv::Mat readXrayImage(const std::string& path, const Eigen::Vector2i& expected_size)
+cv::Mat readXrayImage(const std::string& path, const ProjectionGeometry& detector, const IntensityModel& intensity)
 {
   if (!std::filesystem::is_regular_file(path))
   {
-    throw std::runtime_error(path + ": missing");
+    fail(path, "missing");
   }
-  cv::Mat image;
-  if (isPngOrTiff(path))
+  cv::Mat values;
+  bool floating = false;
+  switch (formatOf(path))
   {
-    image = readPngOrTiff(path);
+    case Format::PNG:
+      values = greyOf(readPng(path), path);
+      break;
+    case Format::TIFF:
+      values = greyOf(readTiff(path), path);
+      floating = values.depth() >= CV_32F;
+      break;
+    case Format::OTHER:
+      if (const auto header = readDicomHeader(path); !header || !header->data.has({ 0x0028, 0x0010 }))
+      {
+        fail(path, "expected a PNG, TIFF or DICOM image");
+      }
+      values = readDicomXray(path, detector, intensity.kind);
   }
-  else
+  const Eigen::Vector2i& expected = detector.imageSize();
+  if (values.cols != expected.x() || values.rows != expected.y())
   {
-    auto io = itk::GDCMImageIO::New();
-    if (!io->CanReadFile(path.c_str()))
-    {
-      throw std::runtime_error(path + ": expected a PNG, TIFF or DICOM image");
-    }
-    image = readDicom(path, io);
+    fail(path, "is " + std::to_string(values.cols) + " x " + std::to_string(values.rows) + ": expected " +
+                   std::to_string(expected.x()) + " x " + std::to_string(expected.y()) + " pixels");
   }
-  if (image.cols != expected_size.x() || image.rows != expected_size.y())
-  {
-    throw std::runtime_error(path + ": is " + std::to_string(image.cols) + " x " + std::to_string(image.rows) +
-                             ": expected " + std::to_string(expected_size.x()) + " x " +
-                             std::to_string(expected_size.y()) + " pixels");
-  }
-  cv::Mat counts;
-  image.convertTo(counts, CV_16U);
-  return counts;
+  return countsOf(values, intensity.kind, floating, path);
 }
 }  // namespace xray_tracking

@@ -127,9 +127,9 @@ CtContent recognisedContent(const CtVolume& ct)
                                                                                        : CtContent::FULL;
 }
 
-PatientCt readPatientCt(const std::string& path, CtContent content)
+PatientCt readPatientCt(const std::string& path, CtContent content, const CtChoice& choice)
 {
-  StoredVolume stored = readStoredVolume(path);
+  StoredVolume stored = readStoredVolume(path, choice);
   const std::string no_hu = whyNotHu(stored.volume);
   const std::string no_labels = whyNotLabels(stored);
   if (content == CtContent::RECOGNISED)

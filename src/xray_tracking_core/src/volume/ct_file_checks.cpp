@@ -1,21 +1,20 @@
 #include "ct_file_checks.h"
 
 #include <algorithm>
-#include <array>
+#include <cctype>
 #include <cstdint>
-#include <cstring>
 #include <filesystem>
 #include <fstream>
 #include <initializer_list>
+#include <locale>
 #include <map>
-#include <memory>
+#include <optional>
 #include <sstream>
+#include <utility>
+#include <vector>
 
-#include <itkMetaDataObject.h>
 #include <itkMetaImageIO.h>
-#include <itkNiftiImageIO.h>
 #include <itkNrrdImageIO.h>
-#include <zlib.h>
 
 #include "ct_error.h"
 
@@ -24,31 +23,6 @@ namespace xray_tracking
 namespace
 {
 namespace fs = std::filesystem;
-using GzFile = std::unique_ptr<gzFile_s, int (*)(gzFile)>;
-
-/// Reads files that are not compressed, too.
-GzFile openGz(const std::string& path)
-{
-  return { gzopen(path.c_str(), "rb"), gzclose };
-}
-
-/// The file of a NIfTI pair with the header or the voxels, `part` being .hdr or .img; a single file is both.
-std::string niftiPart(std::string path, const std::string& part)
-{
-  for (const char* extension : { ".hdr", ".img" })
-  {
-    for (const char* compression : { "", ".gz" })
-    {
-      const std::string ending = std::string(extension) + compression;
-      if (path.size() > ending.size() && path.compare(path.size() - ending.size(), ending.size(), ending) == 0)
-      {
-        return path.replace(path.size() - ending.size(), part.size(), part);
-      }
-    }
-  }
-  return path;
-}
-
 /// The fields of a text header up to the one that ends it, or to an empty line; without the spaces around them.
 struct TextHeader
 {
@@ -110,21 +84,6 @@ void requireAllOfMetaImage(const itk::ImageIOBase& format, const std::string& pa
   }
 }
 
-void requireAllOfNifti(const itk::ImageIOBase& format, const std::string& path)
-{
-  std::string offset = "0";
-  std::string bits = "0";
-  itk::ExposeMetaData<std::string>(format.GetMetaDataDictionary(), "vox_offset", offset);
-  // As stored: ITK's own size is that of the rescaled values.
-  itk::ExposeMetaData<std::string>(format.GetMetaDataDictionary(), "bitpix", bits);
-  const auto end = static_cast<z_off_t>(std::stoll(offset) + format.GetImageSizeInPixels() * std::stoll(bits) / 8);
-  const GzFile file = openGz(niftiPart(path, ".img"));
-  if (!file || gzseek(file.get(), end - 1, SEEK_SET) != end - 1 || gzgetc(file.get()) == -1)
-  {
-    failCt(path, "truncated: its data end before the last voxel");
-  }
-}
-
 void requireMillimetresOfNrrd(const std::string& path)
 {
   TextHeader header = readTextHeader(path, ':', "");
@@ -145,75 +104,144 @@ void requireMillimetresOfNrrd(const std::string& path)
     }
   }
 }
-}  // namespace
-
-void requireUsableNiftiHeader(const std::string& path)
+/// Signs that turn a NRRD's space into LPS; nothing for what is no space of a patient.
+std::optional<Eigen::Vector3d> lpsFromSpace(const std::string& space)
 {
-  struct Field
+  std::string letters;
+  for (const char letter : space)
   {
-    const char* name;
-    std::size_t offset;
-    std::size_t count;  ///< floats
-  };
-  constexpr std::array<Field, 4> kFields{
-    { { "pixdim", 80, 3 }, { "quatern", 256, 3 }, { "qoffset", 268, 3 }, { "srow", 280, 12 } }
-  };
-  constexpr std::uint32_t kNotFinite = 0x7f800000;  // exponent of NaN and infinity
-
-  std::array<char, 348> header{};
-  const GzFile file = openGz(niftiPart(path, ".hdr"));
-  if (!file || gzread(file.get(), header.data(), header.size()) != static_cast<int>(header.size()))
-  {
-    failCt(path, "truncated: its header ends early");
-  }
-  const std::string magic(&header[344], 3);
-  const bool has_form = header[252] != 0 || header[253] != 0 || header[254] != 0 || header[255] != 0;
-  if ((magic != "n+1" && magic != "ni1") || !has_form)
-  {
-    failCt(path, "its header does not say where its axes run: qform_code and sform_code are 0, or it is Analyze");
-  }
-  // ITK scales the spacing, but not the position.
-  const int unit = header[123] & 7;
-  if (unit != 0 && unit != 2)
-  {
-    failCt(path, std::string("is in ") + (unit == 1 ? "m" : unit == 3 ? "um" : "unknown units") + ", expected mm");
-  }
-  std::int32_t header_size = 0;
-  std::memcpy(&header_size, header.data(), sizeof(header_size));
-  const bool swapped = header_size != static_cast<std::int32_t>(header.size());
-  for (const Field& field : kFields)
-  {
-    for (std::size_t n = 0; n < field.count; ++n)
+    if (std::isalpha(static_cast<unsigned char>(letter)) != 0)
     {
-      std::array<char, 4> bytes{};
-      std::copy_n(header.begin() + field.offset + 4 * n, bytes.size(), bytes.begin());
-      if (swapped)
-      {
-        std::reverse(bytes.begin(), bytes.end());
-      }
-      std::uint32_t bits = 0;
-      std::memcpy(&bits, bytes.data(), sizeof(bits));
-      if ((bits & kNotFinite) == kNotFinite)
-      {
-        failCt(path, std::string("field ") + field.name + " of its header is not finite");
-      }
+      letters += static_cast<char>(std::tolower(static_cast<unsigned char>(letter)));
     }
   }
+  if (letters.empty() || letters == "leftposteriorsuperior" || letters == "lps")
+  {
+    return Eigen::Vector3d(1, 1, 1);
+  }
+  if (letters == "rightanteriorsuperior" || letters == "ras")
+  {
+    return Eigen::Vector3d(-1, -1, 1);
+  }
+  if (letters == "leftanteriorsuperior" || letters == "las")
+  {
+    return Eigen::Vector3d(1, -1, 1);
+  }
+  return std::nullopt;
 }
 
-void requireMillimetres(const itk::ImageIOBase& format, const std::string& path)
+/// "(a,b,c)" by "(a,b,c)". @throws if there are not `count` of them
+std::vector<Eigen::Vector3d> nrrdVectors(TextHeader& header, const std::string& field, std::size_t count,
+                                         const std::string& path)
+{
+  std::string numbers = header.fields[field];
+  std::replace_if(
+      numbers.begin(), numbers.end(), [](char c) { return c == '(' || c == ')' || c == ','; }, ' ');
+  std::istringstream stream(numbers);
+  stream.imbue(std::locale::classic());
+  std::vector<Eigen::Vector3d> vectors;
+  for (Eigen::Vector3d vector; stream >> vector.x() >> vector.y() >> vector.z();)
+  {
+    vectors.push_back(vector);
+  }
+  if (vectors.size() != count || !stream.eof())
+  {
+    failCt(path,
+           field + " is " + header.fields[field] + ", expected " + std::to_string(count) + " vectors of 3 numbers");
+  }
+  return vectors;
+}
+
+void requireUsableNrrdHeader(const std::string& path)
+{
+  TextHeader header = readTextHeader(path, ':', "");
+  if (!lpsFromSpace(header.fields["space"]))
+  {
+    failCt(path, "space is " + header.fields["space"] +
+                     ", expected left-posterior-superior, right-anterior-superior or left-anterior-superior");
+  }
+  if (header.fields.count("old min") + header.fields.count("oldmin") > 0)
+  {
+    failCt(path, "has quantised values (old min), expected Hounsfield units");
+  }
+  requireMillimetresOfNrrd(path);
+}
+
+/// Of an axis in MetaImage's letters, from where it comes (RAI: LPS), or where it goes to (LPS), as some write it.
+std::string lettersOf(const Eigen::Matrix3d& axes, bool from)
+{
+  std::string letters;
+  for (int axis = 0; axis < 3; ++axis)
+  {
+    Eigen::Index row = 0;
+    axes.col(axis).cwiseAbs().maxCoeff(&row);
+    const bool positive = axes(row, axis) > 0.0;
+    letters += (positive != from ? "LPS" : "RAI")[row];
+  }
+  return letters;
+}
+
+void requireUsableMetaImageHeader(const std::string& path)
+{
+  TextHeader header = readMetaImageHeader(path);
+  const std::string unit = header.fields["DistanceUnits"];
+  if (!unit.empty() && unit != "mm" && unit != "?")
+  {
+    failCt(path, "DistanceUnits is " + unit + ", expected mm");
+  }
+  if (header.fields["ElementSpacing"].empty() && header.fields["ElementSize"].empty())
+  {
+    failCt(path, "has neither ElementSpacing nor ElementSize: the size of a voxel is not known");
+  }
+  for (const auto& [field, neutral] : { std::make_pair("ElementToIntensityFunctionSlope", 1.0),
+                                        std::make_pair("ElementToIntensityFunctionOffset", 0.0) })
+  {
+    double value = neutral;
+    std::istringstream(header.fields[field]) >> value;
+    if (value != neutral)
+    {
+      failCt(path, std::string(field) + " is " + header.fields[field] + ", expected Hounsfield units as they are");
+    }
+  }
+  // ITK goes by the matrix alone.
+  const std::string letters = header.fields["AnatomicalOrientation"];
+  Eigen::Matrix3d axes = Eigen::Matrix3d::Identity();
+  std::string matrix = "absent";
+  for (const char* field : { "TransformMatrix", "Rotation", "Orientation" })
+  {
+    std::istringstream numbers(header.fields[field]);
+    numbers.imbue(std::locale::classic());
+    Eigen::Matrix3d read;
+    bool complete = true;
+    for (int n = 0; n < 9; ++n)
+    {
+      complete = complete && static_cast<bool>(numbers >> read(n % 3, n / 3));
+    }
+    if (complete)
+    {
+      axes = read;
+      matrix = header.fields[field];
+    }
+  }
+  const bool along_patient = axes.cwiseAbs().colwise().maxCoeff().minCoeff() > 0.9;  // else no letters say it
+  if (along_patient && letters.size() == 3 && letters.find('?') == std::string::npos &&
+      letters != lettersOf(axes, true) && letters != lettersOf(axes, false))
+  {
+    failCt(path, "AnatomicalOrientation is " + letters + ", but TransformMatrix is " + matrix + ", which is " +
+                     lettersOf(axes, true) + ": expected both to mean the same axes");
+  }
+}
+}  // namespace
+
+void requireUsableTextHeader(const itk::ImageIOBase& format, const std::string& path)
 {
   if (dynamic_cast<const itk::NrrdImageIO*>(&format))
   {
-    requireMillimetresOfNrrd(path);
+    requireUsableNrrdHeader(path);
   }
-  else if (dynamic_cast<const itk::MetaImageIO*>(&format))
+  else
   {
-    const std::string unit = readMetaImageHeader(path).fields["DistanceUnits"];
-    if (!unit.empty() && unit != "mm" && unit != "?")
-    {
-      failCt(path, "DistanceUnits is " + unit + ", expected mm");
-    }
+    requireUsableMetaImageHeader(path);
   }
 }
 
@@ -223,9 +251,33 @@ void requireAllVoxels(const itk::ImageIOBase& format, const std::string& path)
   {
     requireAllOfMetaImage(format, path);
   }
-  else if (dynamic_cast<const itk::NiftiImageIO*>(&format))
+}
+
+VolumeGrid gridOf(const itk::ImageIOBase& format, const std::string& path)
+{
+  VolumeGrid grid;
+  for (unsigned axis = 0; axis < 3; ++axis)
   {
-    requireAllOfNifti(format, path);
+    grid.size[axis] = static_cast<int>(format.GetDimensions(axis));
+    grid.patient_from_index.translation()[axis] = format.GetOrigin(axis);
+    grid.patient_from_index.linear().col(axis) =
+        format.GetSpacing(axis) * Eigen::Vector3d(format.GetDirection(axis).data());
   }
+  if (dynamic_cast<const itk::NrrdImageIO*>(&format))
+  {
+    TextHeader header = readTextHeader(path, ':', "");
+    if (header.fields.count("space directions") > 0)
+    {
+      const Eigen::Vector3d signs = lpsFromSpace(header.fields["space"]).value();
+      const auto to_lps = signs.asDiagonal();
+      const std::vector<Eigen::Vector3d> axes = nrrdVectors(header, "space directions", 3, path);
+      for (int axis = 0; axis < 3; ++axis)
+      {
+        grid.patient_from_index.linear().col(axis) = to_lps * axes[static_cast<std::size_t>(axis)];
+      }
+      grid.patient_from_index.translation() = to_lps * nrrdVectors(header, "space origin", 1, path).front();
+    }
+  }
+  return grid;
 }
 }  // namespace xray_tracking

@@ -1,23 +1,22 @@
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <filesystem>
 #include <fstream>
 #include <limits>
 #include <sstream>
+#include <type_traits>
 #include <utility>
 
-#include <itkGDCMImageIO.h>
-#include <itkImageFileReader.h>
 #include <itkImageFileWriter.h>
-#include <itkMetaDataObject.h>
 #include <itkMetaImageIO.h>
 #include <itkNiftiImageIO.h>
 #include <itkNrrdImageIO.h>
 
 #include "ct_error.h"
 #include "ct_file_checks.h"
+#include "dicom_file.h"
 #include "dicom_series.h"
+#include "nifti_file.h"
 #include "stored_volume.h"
 #include "xray_tracking_core/volume/ct_volume.h"
 
@@ -28,61 +27,129 @@ namespace xray_tracking
 namespace
 {
 namespace fs = std::filesystem;
-using FloatImage = itk::Image<float, 3>;
 using HuImage = itk::Image<std::int16_t, 3>;
 
-std::array<itk::ImageIOBase::Pointer, 3> fileFormats()
+template <typename Value>
+void readVoxels(itk::ImageIOBase& format, const std::string& path, StoredVolume& stored)
 {
-  return { itk::NrrdImageIO::New().GetPointer(), itk::MetaImageIO::New().GetPointer(),
-           itk::NiftiImageIO::New().GetPointer() };
+  const std::size_t count = stored.volume.grid.voxelCount();
+  std::vector<Value> values(count);
+  format.Read(values.data());
+  if constexpr (std::is_same_v<Value, std::int16_t>)
+  {
+    stored.volume.hu = std::move(values);
+  }
+  else
+  {
+    stored.volume.hu.reserve(count);
+    std::vector<float> chunk;
+    for (std::size_t done = 0; done < count; done += chunk.size())
+    {
+      const auto start = values.begin() + static_cast<std::ptrdiff_t>(done);
+      chunk.assign(start, start + static_cast<std::ptrdiff_t>(std::min<std::size_t>(1 << 16, count - done)));
+      appendRounded(chunk.data(), chunk.size(), path, stored);
+    }
+  }
 }
 
-FloatImage::Pointer readImage(itk::ImageIOBase* format, const std::string& path)
+/// As the file stores them: ITK's image reader would hold them twice.
+void readVoxelsOfAnyType(itk::ImageIOBase& format, const std::string& path, StoredVolume& stored)
 {
-  const auto reader = itk::ImageFileReader<FloatImage>::New();
-  reader->SetImageIO(format);
-  reader->SetFileName(path);
-  if (dynamic_cast<itk::NiftiImageIO*>(format))
+  using Type = itk::ImageIOBase;
+  switch (format.GetComponentType())
   {
-    requireUsableNiftiHeader(path);
+    case Type::UCHAR:
+      return readVoxels<std::uint8_t>(format, path, stored);
+    case Type::CHAR:
+      return readVoxels<std::int8_t>(format, path, stored);
+    case Type::USHORT:
+      return readVoxels<std::uint16_t>(format, path, stored);
+    case Type::SHORT:
+      return readVoxels<std::int16_t>(format, path, stored);
+    case Type::UINT:
+      return readVoxels<unsigned int>(format, path, stored);
+    case Type::INT:
+      return readVoxels<int>(format, path, stored);
+    case Type::ULONG:
+      return readVoxels<unsigned long>(format, path, stored);
+    case Type::LONG:
+      return readVoxels<long>(format, path, stored);
+    case Type::FLOAT:
+      return readVoxels<float>(format, path, stored);
+    case Type::DOUBLE:
+      return readVoxels<double>(format, path, stored);
+    default:
+      failCt(path, "its values are " + Type::GetComponentTypeAsString(format.GetComponentType()) +
+                       ", expected whole numbers or floating point");
   }
+}
+
+/// Of a NRRD or MetaImage file.
+StoredVolume readByItk(itk::ImageIOBase& format, const std::string& path)
+{
+  StoredVolume stored;
+  format.SetFileName(path);
+  requireUsableTextHeader(format, path);
   try
   {
-    reader->UpdateOutputInformation();
-    if (format->GetNumberOfDimensions() != 3)
+    format.ReadImageInformation();
+    if (format.GetNumberOfDimensions() != 3)
     {
-      failCt(path, "has " + std::to_string(format->GetNumberOfDimensions()) + " dimensions, expected 3");
+      failCt(path, "has " + std::to_string(format.GetNumberOfDimensions()) + " dimensions, expected 3");
     }
-    if (format->GetNumberOfComponents() != 1)
+    if (format.GetNumberOfComponents() != 1)
     {
-      failCt(path, "has " + std::to_string(format->GetNumberOfComponents()) + " values a voxel, expected 1");
+      failCt(path, "has " + std::to_string(format.GetNumberOfComponents()) + " values a voxel, expected 1");
     }
-    requireMillimetres(*format, path);
-    requireAllVoxels(*format, path);
-    reader->Update();
+    requireAllVoxels(format, path);
+    stored.volume.grid = gridOf(format, path);
+    requireUsableGrid(stored.volume.grid, path);
+    itk::ImageIORegion region(3);
+    for (unsigned axis = 0; axis < 3; ++axis)
+    {
+      region.SetSize(axis, format.GetDimensions(axis));
+    }
+    format.SetIORegion(region);
+    readVoxelsOfAnyType(format, path, stored);
   }
   catch (const itk::ExceptionObject& error)
   {
     failCt(path, std::string("cannot be read: ") + error.GetDescription());
   }
-  return reader->GetOutput();
+  return stored;
 }
 
-VolumeGrid gridOf(const FloatImage& image)
+/// ITK would write NIfTI with the nearest axes at right angles, without a word.
+void requireRightAngles(const VolumeGrid& grid, const std::string& path)
 {
-  const auto& region = image.GetLargestPossibleRegion();
-  VolumeGrid grid;
-  for (int axis = 0; axis < 3; ++axis)
+  const Eigen::Matrix3d axes = grid.patient_from_index.linear().colwise().normalized();
+  if (!(axes.transpose() * axes).isIdentity(1e-5))
   {
-    grid.size[axis] = static_cast<int>(region.GetSize(axis));
-    grid.patient_from_index.translation()[axis] = image.GetOrigin()[axis];
-    for (int row = 0; row < 3; ++row)
+    failCt(path, "NIfTI takes no sheared grid (tilted gantry); write NRRD");
+  }
+}
+
+StoredVolume readFile(const std::string& path, const CtChoice& choice)
+{
+  if (isNifti(path))
+  {
+    return readNifti(path, choice.nifti_form);
+  }
+  for (const itk::ImageIOBase::Pointer& format :
+       { itk::ImageIOBase::Pointer(itk::NrrdImageIO::New()), itk::ImageIOBase::Pointer(itk::MetaImageIO::New()) })
+  {
+    if (format->CanReadFile(path.c_str()))
     {
-      grid.patient_from_index.linear()(row, axis) = image.GetDirection()(row, axis) * image.GetSpacing()[axis];
+      return readByItk(*format, path);
     }
   }
-  return grid;
+  if (readDicomHeader(path))
+  {
+    return readDicomCt(path, choice.series);
+  }
+  failCt(path, "not a NRRD, MetaImage or NIfTI file, nor DICOM or a folder");
 }
+}  // namespace
 
 void requireUsableGrid(const VolumeGrid& grid, const std::string& path)
 {
@@ -108,23 +175,9 @@ void requireUsableGrid(const VolumeGrid& grid, const std::string& path)
   }
 }
 
-/// ITK would write NIfTI with the nearest axes at right angles, without a word.
-void requireRightAngles(const VolumeGrid& grid, const std::string& path)
+void appendRounded(const float* values, std::size_t count, const std::string& path, StoredVolume& stored)
 {
-  const Eigen::Matrix3d axes = grid.patient_from_index.linear().colwise().normalized();
-  if (!(axes.transpose() * axes).isIdentity(1e-5))
-  {
-    failCt(path, "NIfTI takes no sheared grid (tilted gantry); write NRRD");
-  }
-}
-
-/// Rounds to whole numbers.
-StoredVolume rounded(const VolumeGrid& grid, const float* values, const std::string& path)
-{
-  StoredVolume stored;
-  stored.volume.grid = grid;
-  stored.volume.hu.resize(grid.voxelCount());
-  for (std::size_t n = 0; n < stored.volume.hu.size(); ++n)
+  for (std::size_t n = 0; n < count; ++n)
   {
     const float value = std::round(values[n]);
     // Negated so that NaN fails, too.
@@ -138,66 +191,18 @@ StoredVolume rounded(const VolumeGrid& grid, const float* values, const std::str
     {
       stored.fraction = values[n];
     }
-    stored.volume.hu[n] = static_cast<std::int16_t>(value);
-  }
-  return stored;
-}
-
-void requireKnownSpace(const itk::ImageIOBase& format, const std::string& path)
-{
-  // ITK converts RAS and LAS to LPS and says so here; other spaces it leaves as they are.
-  std::string space;
-  if (itk::ExposeMetaData<std::string>(format.GetMetaDataDictionary(), "NRRD_space", space) &&
-      space != "left-posterior-superior")
-  {
-    failCt(path, "space is " + space + ", expected left-posterior-superior, right- or left-anterior-superior");
+    stored.volume.hu.push_back(static_cast<std::int16_t>(value));
   }
 }
 
-StoredVolume readFile(const std::string& path)
+StoredVolume readStoredVolume(const std::string& path, const CtChoice& choice)
 {
-  for (const itk::ImageIOBase::Pointer& format : fileFormats())
-  {
-    if (format->CanReadFile(path.c_str()))
-    {
-      const FloatImage::Pointer image = readImage(format, path);
-      requireKnownSpace(*format, path);
-      const VolumeGrid grid = gridOf(*image);
-      requireUsableGrid(grid, path);
-      return rounded(grid, image->GetBufferPointer(), path);
-    }
-  }
-  failCt(path, "not a NRRD, MetaImage or NIfTI file, nor a folder");
-}
-
-StoredVolume readFolder(const std::string& path)
-{
-  const DicomSeries series = findCtSeries(path);
-  requireUsableGrid(series.grid, path);
-  std::vector<float> values;
-  values.reserve(series.grid.voxelCount());
-  for (const std::string& file : series.files)
-  {
-    const FloatImage::Pointer slice = readImage(itk::GDCMImageIO::New(), file);
-    const Eigen::Vector3i size = gridOf(*slice).size;
-    if (size.z() != 1)
-    {
-      failCt(file, "holds " + std::to_string(size.z()) + " slices, expected 1");
-    }
-    values.insert(values.end(), slice->GetBufferPointer(),
-                  slice->GetBufferPointer() + static_cast<std::size_t>(size.x()) * size.y());
-  }
-  return rounded(series.grid, values.data(), path);
-}
-}  // namespace
-
-StoredVolume readStoredVolume(const std::string& path)
-{
+  silenceImageLibraries();
   try
   {
     if (fs::is_directory(path))
     {
-      return readFolder(path);
+      return readDicomCt(path, choice.series);
     }
     // A pipe, for instance, would block the reader.
     if (!fs::is_regular_file(path))
@@ -208,7 +213,7 @@ StoredVolume readStoredVolume(const std::string& path)
     {
       failCt(path, "no permission to read it");
     }
-    return readFile(path);
+    return readFile(path, choice);
   }
   catch (const fs::filesystem_error& error)
   {
@@ -241,9 +246,9 @@ std::string whyNotHu(const CtVolume& volume)
   return message.str();
 }
 
-CtVolume readCtVolume(const std::string& path)
+CtVolume readCtVolume(const std::string& path, const CtChoice& choice)
 {
-  StoredVolume stored = readStoredVolume(path);
+  StoredVolume stored = readStoredVolume(path, choice);
   if (const std::string why = whyNotHu(stored.volume); !why.empty())
   {
     failCt(path, "not Hounsfield units" + std::string(whyNotLabels(stored).empty() ? ", but labels: " : ": ") + why);
@@ -251,9 +256,9 @@ CtVolume readCtVolume(const std::string& path)
   return std::move(stored.volume);
 }
 
-CtVolume readLabelMap(const std::string& path)
+CtVolume readLabelMap(const std::string& path, const CtChoice& choice)
 {
-  StoredVolume stored = readStoredVolume(path);
+  StoredVolume stored = readStoredVolume(path, choice);
   if (const std::string why = whyNotLabels(stored); !why.empty())
   {
     failCt(path, "no label map: " + why);
@@ -291,7 +296,9 @@ void writeCtVolume(const CtVolume& volume, const std::string& path)
     image->SetDirection(direction);
     // ITK takes no const buffer, but does not write to it either.
     image->GetPixelContainer()->SetImportPointer(const_cast<std::int16_t*>(volume.hu.data()), volume.hu.size(), false);
-    for (const itk::ImageIOBase::Pointer& format : fileFormats())
+    for (const itk::ImageIOBase::Pointer& format :
+         { itk::ImageIOBase::Pointer(itk::NrrdImageIO::New()), itk::ImageIOBase::Pointer(itk::MetaImageIO::New()),
+           itk::ImageIOBase::Pointer(itk::NiftiImageIO::New()) })
     {
       if (format->CanWriteFile(path.c_str()))
       {

@@ -15,7 +15,13 @@ struct StoredVolume
 };
 
 /// @throws as readCtVolume, but for what values may be
-StoredVolume readStoredVolume(const std::string& path);
+StoredVolume readStoredVolume(const std::string& path, const CtChoice& choice);
+
+/// Adds values, rounded to whole numbers. @param path for messages
+void appendRounded(const float* values, std::size_t count, const std::string& path, StoredVolume& stored);
+
+/// @throws std::runtime_error naming the path if the grid has no three axes, or is not of a patient in mm
+void requireUsableGrid(const VolumeGrid& grid, const std::string& path);
 
 /// Why the values are no HU of a body in air; empty if they may be.
 std::string whyNotHu(const CtVolume& volume);

@@ -30,7 +30,7 @@ std::unique_ptr<Anatomy> makeAnatomy(const SimulatorParameters& parameters, cons
     throw std::invalid_argument("ct is absent in " + parameters.setup_file +
                                 ", expected the path of a CT (source: ct)");
   }
-  return std::make_unique<CtAnatomy>(readCtVolume(setup.ct_path), setup.target_box);
+  return std::make_unique<CtAnatomy>(readCtVolume(setup.ct_path, setup.ct_choice), setup.target_box);
 }
 
 double seconds(std::chrono::steady_clock::duration duration)

@@ -10,6 +10,7 @@
 
 #include "../state_names.h"
 #include "xray_tracking_conversions/conversions.h"
+#include "xray_tracking_conversions/image_pixels.h"
 #include "xray_tracking_core/sequence/treatment_setup.h"
 #include "xray_tracking_core/stopwatch.h"
 #include "xray_tracking_hyperplane_tracker/region_overlay.h"
@@ -66,18 +67,6 @@ std::string successOf(const Training& training, bool trained, const ros::Time& s
   return training.kind == Training::Kind::AGAIN ? "learnt again from " + exposure
          : trained                              ? "trained on " + exposure
                    : "the template is forgotten as of " + exposure + "; there is no region to learn another one of";
-}
-
-/// The message's pixels, not copied. @throws std::invalid_argument or cv_bridge::Exception saying what is wrong
-cv_bridge::CvImageConstPtr pixelsOf(const sensor_msgs::ImageConstPtr& image)
-{
-  const std::string& encoding = image->encoding;
-  if (encoding != encodings::MONO16 && encoding != encodings::MONO8 && encoding != encodings::TYPE_16UC1 &&
-      encoding != encodings::TYPE_8UC1)
-  {
-    throw std::invalid_argument("image: encoding is " + encoding + ", expected mono16 or mono8");
-  }
-  return cv_bridge::toCvShare(image);
 }
 }  // namespace
 
@@ -233,7 +222,7 @@ void TrackerWorker::process(const Arrival& arrival)
   }
   const std::shared_ptr<TrainingRequest> request = requests_.take();
   ViewAnswer answer;
-  cv_bridge::CvImageConstPtr pixels;
+  cv::Mat pixels;
   if (!tracker_)
   {
     answer.model = parameters_.tracker.model;
@@ -249,8 +238,8 @@ void TrackerWorker::process(const Arrival& arrival)
     }
     try
     {
-      pixels = pixelsOf(image);
-      answer = tracker_->answer(pixels->image, nanosecondsFromTime(image->header.stamp),
+      pixels = pixelsFromMsg(*image);
+      answer = tracker_->answer(pixels, nanosecondsFromTime(image->header.stamp),
                                 request ? std::optional<Training>(request->training) : std::nullopt);
     }
     catch (const std::exception& error)
@@ -265,7 +254,7 @@ void TrackerWorker::process(const Arrival& arrival)
   publish(arrival, answer, stopwatch.cpuSeconds());
   if (request)
   {
-    finish(*request, image, pixels ? pixels->image : cv::Mat(), answer);
+    finish(*request, image, pixels, answer);
   }
 }
 
@@ -349,7 +338,7 @@ void TrackerWorker::publishOverlay(const sensor_msgs::ImageConstPtr& image, cons
   }
   try
   {
-    const cv_bridge::CvImageConstPtr pixels = pixelsOf(image);
+    const cv::Mat pixels = pixelsFromMsg(*image);
     RegionOverlay overlay;
     overlay.reference = rectFromRegionMsg(result.region);
     overlay.colour = stateColour(result.state);
@@ -359,10 +348,10 @@ void TrackerWorker::publishOverlay(const sensor_msgs::ImageConstPtr& image, cons
       if (parameters_.overlay_points)
       {
         overlay.points =
-            residualPoints(pixelsOf(reference_)->image, overlay.reference, pixels->image, *overlay.found, intensity_);
+            residualPoints(pixelsFromMsg(*reference_), overlay.reference, pixels, *overlay.found, intensity_);
       }
     }
-    const cv::Mat picture = drawRegionOverlay(pixels->image, overlay);
+    const cv::Mat picture = drawRegionOverlay(pixels, overlay);
     overlay_publisher_.publish(cv_bridge::CvImage(image->header, encodings::BGR8, picture).toImageMsg());
   }
   catch (const std::exception&)

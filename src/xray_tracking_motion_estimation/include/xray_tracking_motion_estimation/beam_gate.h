@@ -123,9 +123,11 @@ public:
 
   /// The target is elsewhere than was taken so far: somebody has stated where, and an accepted refinement of an
   /// exposure confirms it. Closed until exposures are good there.
-  /// @param stamp the exposure's [ns]; @param displacement, rotation of the target there [mm, rad]
+  /// @param stamp the exposure's [ns]
+  /// @param displacement, rotation of the target there [mm, rad]
   /// @param refusal why the last such statement was refused, which makes it take two refinements in a row; empty if
-  /// none was @return true if reason() has changed
+  /// none was
+  /// @return true if reason() has changed
   bool stated(std::int64_t stamp, const Eigen::Vector3d& displacement, double rotation, const std::string& refusal);
 
   /// Time starts again, or the reference is another: as at the start, but for the text.

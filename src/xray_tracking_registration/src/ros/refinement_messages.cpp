@@ -4,18 +4,16 @@
 #include <cmath>
 #include <stdexcept>
 
-#include <cv_bridge/cv_bridge.h>
-#include <sensor_msgs/image_encodings.h>
 #include <boost/make_shared.hpp>
 
 #include "xray_tracking_conversions/conversions.h"
+#include "xray_tracking_conversions/image_pixels.h"
 #include "xray_tracking_core/option_check.h"
 
 namespace xray_tracking
 {
 namespace
 {
-namespace encodings = sensor_msgs::image_encodings;
 using xray_tracking_msgs::RefinementRequest;
 using xray_tracking_msgs::RefinementResult;
 
@@ -60,16 +58,11 @@ UsableImage usableImageOf(const sensor_msgs::ImageConstPtr& image, const Intensi
                           DetectorPixels& detector)
 {
   UsableImage seen;
-  if (image->encoding != encodings::MONO16 && image->encoding != encodings::MONO8)
-  {
-    seen.fault = "image.encoding is '" + image->encoding + "', expected mono16 or mono8";
-    return seen;
-  }
   try
   {
-    seen = detector.look(cv_bridge::toCvShare(image)->image, intensity, nanosecondsFromTime(image->header.stamp));
+    seen = detector.look(pixelsFromMsg(*image), intensity, nanosecondsFromTime(image->header.stamp));
   }
-  catch (const std::exception& error)  // cv_bridge's
+  catch (const std::exception& error)
   {
     seen.fault = error.what();
   }

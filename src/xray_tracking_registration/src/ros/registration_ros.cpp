@@ -154,7 +154,7 @@ std::shared_ptr<const Registration> RegistrationRos::makeRegistration(const std:
                                 ", expected the path of a CT (source: ct)");
   }
   const PatientCt ct = ct_path.empty() ? PatientCt{ NeckPhantom().sampleCt(kPhantomCt), CtContent::FULL }
-                                       : readPatientCt(ct_path, setup_.ct_content);
+                                       : readPatientCt(ct_path, setup_.ct_content, setup_.ct_choice);
   const VolumeGrid& grid = ct.volume.grid;
   std::optional<TargetMask> mask;
   if (parameters_.bodies == 2)
@@ -163,7 +163,8 @@ std::shared_ptr<const Registration> RegistrationRos::makeRegistration(const std:
     mask = parameters_.mask == "bone" ? targetMaskOf(ct, setup_.target_box, options)
            : parameters_.mask == "box"
                ? targetMaskFromBox(grid, setup_.target_box, options)
-               : targetMaskFromLabels(grid, readLabelMap(parameters_.label_map), parameters_.label, options);
+               : targetMaskFromLabels(grid, readLabelMap(parameters_.label_map, setup_.ct_choice), parameters_.label,
+                                      options);
     if (!parameters_.mask_file.empty())
     {
       writeTargetMask(*mask, parameters_.mask_file);

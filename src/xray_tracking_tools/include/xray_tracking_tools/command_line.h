@@ -26,7 +26,8 @@ int runCommand(int argc, char** argv, const CommandLine& command_line,
 /// Refuses an option below its least value. @throws std::invalid_argument naming option, value and bound
 void requireAtLeast(const std::string& option, double value, double least);
 
-/// A progress line on stderr for long work: `what` done / total, not more than once a second, and always the last one.
+/// Progress of long work on stderr: on a terminal a bar, elsewhere lines `what` done / total, not more than one a
+/// second, and always the last one.
 class Progress
 {
 public:

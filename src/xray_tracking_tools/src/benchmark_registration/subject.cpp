@@ -21,7 +21,7 @@ Subject sequenceSubject(const std::string& path)
   {
     throw std::invalid_argument(path + ": expected a sequence with a CT and a gold standard");
   }
-  subject.ct = readPatientCt(setup.ct_path, setup.ct_content);
+  subject.ct = readPatientCt(setup.ct_path, setup.ct_content, setup.ct_choice);
   return subject;
 }
 

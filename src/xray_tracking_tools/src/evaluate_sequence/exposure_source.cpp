@@ -7,14 +7,15 @@
 #include <stdexcept>
 #include <utility>
 
-#include <cv_bridge/cv_bridge.h>
 #include <geometry_msgs/PoseStamped.h>
 #include <rosbag/bag.h>
 #include <rosbag/view.h>
 #include <sensor_msgs/CameraInfo.h>
+#include <sensor_msgs/CompressedImage.h>
 #include <sensor_msgs/Image.h>
 
 #include "xray_tracking_conversions/conversions.h"
+#include "xray_tracking_conversions/image_pixels.h"
 #include "xray_tracking_core/sequence/sequence.h"
 #include "xray_tracking_tools/sequence_bag.h"
 
@@ -22,6 +23,7 @@ namespace xray_tracking
 {
 namespace
 {
+constexpr const char* kImages = "images";      // of InputFiles
 constexpr double kProjectionTolerance = 1e-3;  // [px], of what a camera_info's numbers differ by
 
 std::string lastName(const std::string& topic)
@@ -40,6 +42,7 @@ struct BagImage
 {
   std::string topic;
   ros::Time time;  ///< of the message in the bag
+  std::int64_t stamp_ns;
 };
 
 /// What a bag has of an exposure.
@@ -74,7 +77,11 @@ public:
     for (const rosbag::MessageInstance& instance : rosbag::View(bag_))
     {
       const std::string& topic = instance.getTopic();
-      const auto is_of_setup = [&](const ProjectionGeometry& detector) { return detector.name() == detectorOf(topic); };
+      // `.../image_raw/compressed` is the detector's as `.../image_raw` is.
+      const bool compressed = lastName(topic) == "compressed";
+      const std::string raw_topic = compressed ? topic.substr(0, topic.rfind('/')) : topic;
+      const auto is_of_setup = [&](const ProjectionGeometry& detector)
+      { return detector.name() == detectorOf(raw_topic); };
       const auto detector = std::find_if(setup.detectors.begin(), setup.detectors.end(), is_of_setup);
       if (lastName(topic) == "patient_ground_truth")
       {
@@ -90,31 +97,76 @@ public:
           checkCameraInfo(*info, *detector);
         }
       }
-      else if (detector != setup.detectors.end() && lastName(topic) == "image_raw")
+      else if (detector != setup.detectors.end() && lastName(raw_topic) == "image_raw")
       {
-        if (const auto image = instance.instantiate<sensor_msgs::Image>())
+        if (const std::optional<std::int64_t> stamp = stampOf(instance))
         {
-          exposures[nanosecondsFromTime(image->header.stamp)].images[detector->name()] = { topic, instance.getTime() };
+          exposures[*stamp].images[detector->name()] = { topic, instance.getTime(), *stamp };
         }
       }
     }
+    pair(setup, exposures);
     return exposures;
   }
 
-  cv::Mat read(const BagImage& at, std::int64_t stamp_ns)
+  cv::Mat read(const BagImage& at)
   {
     for (const rosbag::MessageInstance& instance : rosbag::View(bag_, rosbag::TopicQuery(at.topic), at.time, at.time))
     {
-      const auto image = instance.instantiate<sensor_msgs::Image>();
-      if (image && nanosecondsFromTime(image->header.stamp) == stamp_ns)
+      if (stampOf(instance) == at.stamp_ns)
       {
-        return cv_bridge::toCvCopy(image)->image;
+        const auto image = instance.instantiate<sensor_msgs::Image>();
+        return image ? pixelsFromMsg(*image).clone()
+                     : pixelsFromMsg(*instance.instantiate<sensor_msgs::CompressedImage>());
       }
     }
     throw std::runtime_error(path_ + ": " + at.topic + " has changed while it was read");
   }
 
 private:
+  /// Of an image, compressed or not.
+  static std::optional<std::int64_t> stampOf(const rosbag::MessageInstance& instance)
+  {
+    if (const auto image = instance.instantiate<sensor_msgs::Image>())
+    {
+      return nanosecondsFromTime(image->header.stamp);
+    }
+    if (const auto image = instance.instantiate<sensor_msgs::CompressedImage>())
+    {
+      return nanosecondsFromTime(image->header.stamp);
+    }
+    return std::nullopt;
+  }
+
+  /// Makes one exposure of those that are nearly at one time and of different detectors: that of the first detector.
+  static void pair(const TreatmentSetup& setup, std::map<std::int64_t, BagExposure>& exposures)
+  {
+    const auto tolerance = static_cast<std::int64_t>(kPairingTolerance * 1e9);
+    for (auto at = exposures.begin(); at != exposures.end(); ++at)
+    {
+      for (auto next = std::next(at); next != exposures.end() && next->first - at->first <= tolerance;)
+      {
+        const auto& present = at->second.images;
+        const bool apart = std::none_of(next->second.images.begin(), next->second.images.end(),
+                                        [&](const auto& image) { return present.count(image.first) > 0; });
+        if (!apart)
+        {
+          break;
+        }
+        at->second.images.insert(next->second.images.begin(), next->second.images.end());
+        at->second.truth = at->second.truth ? at->second.truth : next->second.truth;
+        next = exposures.erase(next);
+      }
+      const auto first = at->second.images.find(setup.detectors.front().name());
+      if (first != at->second.images.end() && first->second.stamp_ns != at->first)
+      {
+        auto node = exposures.extract(at);
+        node.key() = first->second.stamp_ns;
+        at = exposures.insert(std::move(node)).position;
+      }
+    }
+  }
+
   std::string path_;
   rosbag::Bag bag_;
 };
@@ -129,6 +181,13 @@ void ExposureSource::keepFirst(int frames)
   }
   stamps_ns.resize(static_cast<std::size_t>(frames));
   gold_standard.resize(std::min(stamps_ns.size(), gold_standard.size()));
+  for (InputFiles& input : inputs)
+  {
+    if (input.what == kImages)
+    {
+      input.files.resize(stamps_ns.size() * setup.detectors.size());
+    }
+  }
 }
 
 ExposureSource sequenceSource(const std::string& folder)
@@ -136,10 +195,13 @@ ExposureSource sequenceSource(const std::string& folder)
   const auto sequence = std::make_shared<const Sequence>(loadSequence(folder));
   ExposureSource source;
   source.name = std::filesystem::canonical(folder).stem().string();
+  source.path = folder;
   source.setup = sequence->setup;
+  source.inputs = { { "tables", sequence->tables }, { kImages, {} } };
   for (const Exposure& exposure : sequence->exposures)
   {
     source.stamps_ns.push_back(exposure.stamp_ns);
+    source.inputs.back().files.insert(source.inputs.back().files.end(), exposure.files.begin(), exposure.files.end());
   }
   for (const StampedPose& pose : sequence->gold_standard)
   {
@@ -150,7 +212,8 @@ ExposureSource sequenceSource(const std::string& folder)
     std::vector<cv::Mat> images;
     for (std::size_t d = 0; d < sequence->setup.detectors.size(); ++d)
     {
-      images.push_back(readXrayImage(sequence->exposures[k].files[d], sequence->setup.detectors[d].imageSize()));
+      images.push_back(
+          readXrayImage(sequence->exposures[k].files[d], sequence->setup.detectors[d], sequence->setup.intensity));
     }
     return images;
   };
@@ -161,7 +224,9 @@ ExposureSource bagSource(const std::string& bag_path, const std::string& setup_p
 {
   ExposureSource source;
   source.name = std::filesystem::path(bag_path).stem().string();
+  source.path = bag_path;
   source.setup = loadTreatmentSetup(setup_path);
+  source.inputs = { { "tables", { setup_path } }, { "bag", { bag_path } } };
   try
   {
     const auto reader = std::make_shared<BagReader>(bag_path);
@@ -187,12 +252,12 @@ ExposureSource bagSource(const std::string& bag_path, const std::string& setup_p
         source.gold_standard.push_back(*exposure.truth);
       }
     }
-    source.images = [reader, complete, detectors = source.setup.detectors, stamps = source.stamps_ns](std::size_t k)
+    source.images = [reader, complete, detectors = source.setup.detectors](std::size_t k)
     {
       std::vector<cv::Mat> images;
       for (const ProjectionGeometry& detector : detectors)
       {
-        images.push_back(reader->read(complete[k].images.at(detector.name()), stamps[k]));
+        images.push_back(reader->read(complete[k].images.at(detector.name())));
       }
       return images;
     };

@@ -11,11 +11,20 @@
 
 namespace xray_tracking
 {
+/// Files that make a part of what is evaluated.
+struct InputFiles
+{
+  std::string what;  ///< e.g. "images"
+  std::vector<std::string> files;
+};
+
 /// The exposures of a sequence folder or a bag, in the order of their stamps.
 struct ExposureSource
 {
   std::string name;
+  std::string path;  ///< the folder or the bag
   TreatmentSetup setup;
+  std::vector<InputFiles> inputs;  ///< all that was read, but the CT
   std::vector<std::int64_t> stamps_ns;
   std::vector<RigidTransform> gold_standard;  ///< one for each exposure; empty if it is not known
   /// Of the k-th exposure, one for each of the setup's detectors, CV_8UC1 or CV_16UC1.

@@ -2,6 +2,7 @@
 
 #include <utility>
 
+#include "processor_time.h"
 #include "xray_tracking_hyperplane_tracker/tracker_parameters.h"
 
 namespace xray_tracking
@@ -94,13 +95,17 @@ OfflineRun::OfflineRun(const TreatmentSetup& setup, PoseMethod method, std::shar
 
 MotionDecision OfflineRun::add(std::int64_t stamp_ns, const std::vector<cv::Mat>& images)
 {
+  registration_seconds_ = 0.0;
   TrackedExposure exposure = track(stamp_ns, images);
   const std::int64_t now = exposure.arrival;
   monitor_.onExposure(std::move(exposure), now);
   std::optional<MotionDecision> decision = monitor_.takeDecision();
   while (const std::optional<RefinementRequest> request = monitor_.takeRequest())
   {
-    monitor_.onReply(registered(*request), now);
+    const double start = processorSeconds();
+    const RefinementReply reply = registered(*request);
+    registration_seconds_ += processorSeconds() - start;
+    monitor_.onReply(reply, now);
   }
   if (!decision)
   {
@@ -118,11 +123,13 @@ TrackedExposure OfflineRun::track(std::int64_t stamp_ns, const std::vector<cv::M
   TrackedExposure exposure;
   exposure.stamp = stamp_ns;
   exposure.arrival = stamp_ns;
+  last_views_.clear();
   for (std::size_t d = 0; d < views_.size(); ++d)
   {
     View& view = views_[d];
     const std::optional<Training> training = std::exchange(view.training, std::nullopt);
-    exposure.views.push_back(trackedView(view.tracker->answer(images[d], stamp_ns, training)));
+    last_views_.push_back(trackedView(view.tracker->answer(images[d], stamp_ns, training)));
+    exposure.views.push_back(last_views_.back());
     if (training)
     {
       view.tracker->learn(images[d]);

@@ -33,6 +33,11 @@ public:
   MotionDecision add(std::int64_t stamp_ns, const std::vector<cv::Mat>& images);
 
   const BeamGate& gate() const { return monitor_.gate(); }
+  /// The tracks of the last exposure, of the setup's detectors, in their order.
+  const std::vector<TrackedView>& lastViews() const { return last_views_; }
+  /// Processor time that the last exposure's registrations took [s].
+  double registrationSeconds() const { return registration_seconds_; }
+  const MotionMonitorOptions& options() const { return options_; }
 
 private:
   struct View
@@ -49,6 +54,8 @@ private:
   MotionMonitorOptions options_;
   MotionMonitor monitor_;
   std::vector<View> views_;
+  std::vector<TrackedView> last_views_;
+  double registration_seconds_ = 0.0;
   std::shared_ptr<const Registration> registration_;
   std::optional<SequenceRegistration> sequence_;
 };

@@ -10,6 +10,10 @@
 
 namespace xray_tracking
 {
+/// How far the stamps of one exposure may be apart where nothing else is said [s]: what a patient moves by in the
+/// meantime is below what tracking sees.
+constexpr double kPairingTolerance = 0.005;
+
 /// A pose with its time.
 struct StampedPose
 {
@@ -30,12 +34,14 @@ struct Sequence
   TreatmentSetup setup;
   std::vector<Exposure> exposures;
   std::vector<StampedPose> gold_standard;  ///< empty, or one for each exposure
+  std::vector<std::string> tables;         ///< absolute paths of sequence.yaml and what it names but images and CT
 };
 
 /// Reads `DIR/sequence.yaml` and the tables it names; images are only looked for, not read. Stamps must be plain
 /// decimal numbers ("1699999999.25"; no sign, no exponent) from 0 to less than 2^32 s; digits after the ninth are
-/// rounded. The gold standard may have rows between the exposures, which are left out, and tables may have further
-/// columns.
+/// rounded. Rows of one exposure may differ by `pairing_tolerance` [s] of sequence.yaml (0 to 1, default kPairingTolerance, as
+/// motion_estimation's parameter); the exposure's stamp is that of the first detector. The gold standard may have rows
+/// between the exposures, which are left out, and tables may have further columns.
 /// @throws std::runtime_error naming the file, the line and what is wrong: stamps that do not grow, a detector without
 /// an image in an exposure or with two, an unknown detector, a missing image, a pose that is not finite or whose
 /// quaternion is not of unit norm, a gold standard without an exposure's stamp.
@@ -47,8 +53,12 @@ Sequence loadSequence(const std::string& directory);
 /// finite or whose quaternion is not of unit norm
 std::vector<StampedPose> loadPoses(const std::string& path);
 
-/// Reads one X-ray image: PNG or TIFF of 8 or 16 bit, one channel, or DICOM. @return CV_16UC1, values as in the file
-/// @throws std::runtime_error naming the file if it is missing, unreadable, of another kind, or not of `expected_size`
-/// (columns, rows)
-cv::Mat readXrayImage(const std::string& path, const Eigen::Vector2i& expected_size);
+/// Reads one X-ray image: PNG, TIFF (whole numbers or floating point) or DICOM, one page or frame of grey values.
+/// Values are those that the file stores (DICOM: rescaled), whatever it says of their display (MONOCHROME1,
+/// MinIsWhite): what they mean is said by `intensity`, with which PixelIntensityRelationship must agree. Line integrals
+/// in floating point come out in steps of 1/4096. docs/formats_supported.md has all of it.
+/// @return CV_16UC1
+/// @throws std::runtime_error naming the file, and the tag and its value, if it is missing, unreadable, of another
+/// kind, not of the detector's size or ImagerPixelSpacing, or its values are not 0 to 65535
+cv::Mat readXrayImage(const std::string& path, const ProjectionGeometry& detector, const IntensityModel& intensity);
 }  // namespace xray_tracking

@@ -33,6 +33,7 @@ struct TreatmentSetup
 {
   std::string ct_path;                           ///< absolute; empty if none is named
   CtContent ct_content = CtContent::RECOGNISED;  ///< `ct_content`
+  CtChoice ct_choice;                            ///< `ct_series`, `ct_nifti_form`
   IntensityModel intensity;
   std::vector<ProjectionGeometry> detectors;                      ///< two or more, names unique
   RigidTransform room_from_patient = RigidTransform::Identity();  ///< `initial_pose`
@@ -48,9 +49,10 @@ struct TreatmentSetup
 std::vector<ProjectionGeometry> loadDetectors(const std::string& path);
 
 /// Reads a setup file: `detectors` (a list, or the path of a YAML file that has one), `initial_pose`, `target_box_mm`,
-/// and optionally `ct`, `ct_content` (recognised, full, bone_in_air or labels), `intensity`, `regions`; relative paths
-/// start at the file. Keys that it does not use are left alone. Regions must lie inside their detector's image,
-/// air_counts above offset, the box's min below its max.
+/// and optionally `ct`, `ct_content` (recognised, full, bone_in_air or labels), `ct_series` and `ct_nifti_form` (qform
+/// or sform) where CtChoice is needed, `intensity`, `regions`; relative paths start at the file. Keys that it does not
+/// use are left alone. Regions must lie inside their detector's image, air_counts above offset, the box's min below its
+/// max.
 /// @throws std::runtime_error naming file, key, value and what was expected
 TreatmentSetup loadTreatmentSetup(const std::string& path);
 

@@ -40,7 +40,8 @@ struct PatientCt
 /// @throws std::runtime_error as readCtVolume(), naming the path and what was expected where the values are no HU
 ///         (FULL, BONE_IN_AIR), no labels (LABELS: a fraction, as of a probability, a value below 0 or more than 200
 ///         above it, no background) or neither
-PatientCt readPatientCt(const std::string& path, CtContent content = CtContent::RECOGNISED);
+PatientCt readPatientCt(const std::string& path, CtContent content = CtContent::RECOGNISED,
+                        const CtChoice& choice = {});
 
 /// The same of HU that are at hand already.
 PatientCt recognisedCt(CtVolume hu);

@@ -55,18 +55,34 @@ struct ScalarVolume
   std::vector<float> values;  ///< voxelCount() values, i fastest
 };
 
-/// Reads a CT: a NRRD, MetaImage or NIfTI file, or a folder with one DICOM CT series. Axes come out as LPS mm whatever
-/// the file declares (NRRD: LPS, RAS or LAS, or no space, which is taken for LPS). DICOM files of other modalities are
-/// passed over; a tilted gantry gives a sheared grid. Values below -1200, by which scanners fill up what they did not
-/// scan, are kept.
+/// Which of a NIfTI file's two statements of its axes holds.
+enum class NiftiForm
+{
+  AGREED,  ///< either: they have to be the same where there are both, and without shear
+  QFORM,
+  SFORM
+};
+
+/// What to take where a file or folder holds more than one answer. Nothing is guessed: reading fails and names them.
+struct CtChoice
+{
+  std::string series;  ///< SeriesInstanceUID, or what the list of a refusal has; empty: the only one there is
+  NiftiForm nifti_form = NiftiForm::AGREED;
+};
+
+/// Reads a CT: a NRRD, MetaImage or NIfTI file, a folder with a DICOM CT series (in sub-folders, too), or a DICOM file
+/// of enhanced multi-frame CT. Axes come out as LPS mm whatever the file declares (NRRD: LPS, RAS or LAS, or no space,
+/// which is taken for LPS). DICOM files of other modalities, scouts and screenshots are passed over; a tilted gantry
+/// gives a sheared grid; PixelPaddingValue becomes air. Values below -1200, by which scanners fill up what they did not
+/// scan, are kept. docs/formats_supported.md has all of it.
 /// @throws std::runtime_error naming the path and what is wrong: not there, not readable, truncated, not three-
-/// dimensional, not in mm, more than one series, a slice missing, or values that are not Hounsfield units of a body in
-/// air (no voxel between -200 and 200, none between -1200 and -200, or any outside [-32768, 32767]).
-CtVolume readCtVolume(const std::string& path);
+/// dimensional, not in mm, several series or axes and no choice, a slice missing, or values that are not Hounsfield
+/// units of a body in air (no voxel between -200 and 200, none between -1200 and -200, or any outside [-32768, 32767]).
+CtVolume readCtVolume(const std::string& path, const CtChoice& choice = {});
 
 /// Reads labels on a CT's grid, instead of HU: 0 for the background, others above it.
 /// @throws as readCtVolume, but for what values may be: whole numbers, 0 the lowest, at most 200 others
-CtVolume readLabelMap(const std::string& path);
+CtVolume readLabelMap(const std::string& path, const CtChoice& choice = {});
 
 /// Writes a CT as NRRD, NIfTI or MetaImage by the file's extension. @throws std::runtime_error naming the path: not
 /// writable, another extension, or a sheared grid as NIfTI

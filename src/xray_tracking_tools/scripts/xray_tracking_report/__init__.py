@@ -1,0 +1,1 @@
+"""Reports of evaluations: results folders in, one self-contained HTML file out."""
