@@ -15,6 +15,7 @@ from actionlib import CommState
 from actionlib_msgs.msg import GoalStatus
 from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import RegionOfInterest
+from std_msgs.msg import String
 
 sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
 from registration_test_case import (DETECTORS, RegistrationTestCase, Sender, TIMEOUT, not_a_volume,  # noqa: E402
@@ -214,6 +215,8 @@ class RequestsTest(RegistrationTestCase):
                 self.assertFalse(answer.success)
                 self.assertIn(word, answer.message)
                 self.check_good(self.service(self.good()).result)
+        # What is in use is still the phantom.
+        self.assertEqual(rospy.wait_for_message(f"{NODE}/volume", String, TIMEOUT).data, "")
 
     def test_render(self):
         """The CT at the true pose looks like the exposure, and less so 5 mm aside; what is wrong is named."""

@@ -111,6 +111,7 @@ AnatomyDisplay::~AnatomyDisplay()
   pose_subscriber_.shutdown();
   truth_subscriber_.shutdown();
   alignment_subscriber_.shutdown();
+  volume_subscriber_.shutdown();
   if (initialized())
   {
     bone_surface_.reset();
@@ -159,6 +160,7 @@ void AnatomyDisplay::onEnable()
   pose_subscriber_ = update_nh_.subscribe("patient_pose", 1, &AnatomyDisplay::poseCb, this);
   truth_subscriber_ = update_nh_.subscribe("patient_ground_truth", 1, &AnatomyDisplay::truthCb, this);
   alignment_subscriber_ = update_nh_.subscribe("alignment_pose", 1, &AnatomyDisplay::alignmentCb, this);
+  volume_subscriber_ = update_nh_.subscribe("registration/volume", 1, &AnatomyDisplay::volumeCb, this);
 }
 
 void AnatomyDisplay::onDisable()
@@ -166,6 +168,7 @@ void AnatomyDisplay::onDisable()
   pose_subscriber_.shutdown();
   truth_subscriber_.shutdown();
   alignment_subscriber_.shutdown();
+  volume_subscriber_.shutdown();
   watch_.reset();
 }
 
@@ -187,6 +190,12 @@ void AnatomyDisplay::truthCb(const geometry_msgs::PoseStamped::ConstPtr& message
 {
   truth_message_ = message;
   truth_arrival_ = ros::SteadyTime::now();
+}
+
+void AnatomyDisplay::volumeCb(const std_msgs::String::ConstPtr& message)
+{
+  wanted_ = wanted_ || volume_ != message->data;
+  volume_ = message->data;
 }
 
 void AnatomyDisplay::alignmentCb(const geometry_msgs::PoseStamped::ConstPtr& message)
@@ -240,11 +249,13 @@ void AnatomyDisplay::followRoom()
     {
       update_nh_.getParamCached("detector_simulator/source", source);
     }
-    phantom_ = source == "phantom" || setup_->ct_path.empty();
-    loader_->load({ phantom_, setup_->ct_path, setup_->ct_content, setup_->target_box, setup_->ct_choice });
+    // The registration's own word goes before.
+    const std::string ct_path = volume_.value_or(source == "phantom" ? "" : setup_->ct_path);
+    shown_ = ct_path.empty() ? "the neck phantom" : ct_path;
+    loader_->load({ ct_path.empty(), ct_path, setup_->ct_content, setup_->target_box, setup_->ct_choice });
     wanted_ = false;
   }
-  const std::string what = phantom_ ? "the neck phantom" : setup_->ct_path;
+  const std::string& what = shown_;
   if (!loader_->fault().empty())
   {
     setStatusStd(StatusProperty::Error, "CT", loader_->fault());

@@ -3,11 +3,13 @@
 #include <array>
 #include <memory>
 #include <optional>
+#include <string>
 
 #include <geometry_msgs/PoseStamped.h>
 #include <geometry_msgs/PoseWithCovarianceStamped.h>
 #include <ros/ros.h>
 #include <rviz/display.h>
+#include <std_msgs/String.h>
 #include <Eigen/Core>
 
 #include "room_watch.h"
@@ -63,6 +65,7 @@ private:
   /// Room to the fixed frame. @return false, with a status, if that is not known
   bool placeRoom();
   void poseCb(const geometry_msgs::PoseWithCovarianceStamped::ConstPtr& message);
+  void volumeCb(const std_msgs::String::ConstPtr& message);
   void alignmentCb(const geometry_msgs::PoseStamped::ConstPtr& message);
   void truthCb(const geometry_msgs::PoseStamped::ConstPtr& message);
 
@@ -83,11 +86,12 @@ private:
   std::unique_ptr<RoomWatch> watch_;
   std::unique_ptr<AnatomyLoader> loader_;
   std::shared_ptr<const TreatmentSetup> setup_;
-  bool phantom_ = false;
-  bool wanted_ = false;  ///< anatomy has to be made of the setup
+  std::optional<std::string> volume_;  ///< path of the CT that the registration has loaded; empty: the phantom
+  std::string shown_;                  ///< what the anatomy is of
+  bool wanted_ = false;                ///< anatomy has to be made of the setup
   float since_room_ = 1.0F;
 
-  ros::Subscriber pose_subscriber_, truth_subscriber_, alignment_subscriber_;
+  ros::Subscriber pose_subscriber_, truth_subscriber_, alignment_subscriber_, volume_subscriber_;
   geometry_msgs::PoseWithCovarianceStamped::ConstPtr pose_;
   geometry_msgs::PoseStamped::ConstPtr truth_message_;
   geometry_msgs::PoseStamped::ConstPtr alignment_;

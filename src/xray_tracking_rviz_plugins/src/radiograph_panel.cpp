@@ -285,9 +285,9 @@ void RadiographPanel::refresh()
                   live && exposure != rendered_.exposures.end() ? &exposure->second : nullptr);
   }
   rendering_label_->setText(overlay() == Overlay::NONE  ? QString()
+                            : !rendering_fault_.empty() ? "No CT: " + QString::fromStdString(rendering_fault_)
                             : aligning()                ? "CT at the pose of the manual alignment"
                             : live                      ? QString()
-                            : !rendering_fault_.empty() ? "No CT: " + QString::fromStdString(rendering_fault_)
                             : poses_.empty()            ? QString("No CT: no patient_pose so far")
                                                         : QString("Rendering the CT ..."));
 }
@@ -299,7 +299,7 @@ bool RadiographPanel::aligning() const
 
 bool RadiographPanel::renderingIsLive() const
 {
-  if (overlay() == Overlay::NONE || rendered_.exposures.empty())
+  if (overlay() == Overlay::NONE || rendered_.exposures.empty() || !rendering_fault_.empty())
   {
     return false;
   }

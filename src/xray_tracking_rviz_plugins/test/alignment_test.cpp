@@ -184,6 +184,9 @@ TEST_F(AlignmentTest, CancelledItLeavesEverythingAsItWas)
   spin(1.0);
   EXPECT_EQ(shown_, 0);
   expectMisplaced();
+  // A panel that is closed meanwhile is as good as a cancel.
+  click(button("align"));
+  EXPECT_TRUE(spinUntil([&] { return shown_ > 0; }));
 }
 
 TEST_F(AlignmentTest, ByMouseAndKeysToARegisteredPoseOnTf)

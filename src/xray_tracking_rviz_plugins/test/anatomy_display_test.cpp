@@ -10,9 +10,11 @@
 #include <geometry_msgs/PoseStamped.h>
 #include <geometry_msgs/PoseWithCovarianceStamped.h>
 #include <rviz/properties/property.h>
+#include <rviz/properties/status_list.h>
 #include <rviz/render_panel.h>
 #include <rviz/view_controller.h>
 #include <rviz/view_manager.h>
+#include <std_msgs/String.h>
 #include <tf2_ros/static_transform_broadcaster.h>
 #include <Eigen/Geometry>
 #include <QImage>
@@ -193,6 +195,32 @@ TEST_F(AnatomyDisplayTest, TargetIsColouredAndFollowsThePose)
   const double below = middle(-20.0);
   const double above = middle(20.0);
   EXPECT_GT(below - above, 20.0);  // up by 40 mm
+}
+
+TEST_F(AnatomyDisplayTest, IsOfTheCtThatTheRegistrationHasLoaded)
+{
+  ros::Publisher volumes = ros::NodeHandle().advertise<std_msgs::String>("registration/volume", 1, true);
+  const auto status = [&]
+  {
+    std::string text;
+    for (int i = 0; i < display_->numChildren(); ++i)
+    {
+      const auto* list = dynamic_cast<const rviz::StatusList*>(display_->childAt(i));
+      for (int k = 0; list != nullptr && k < list->numChildren(); ++k)
+      {
+        const rviz::Property* line = list->childAt(k);
+        text += line->getNameStd() + ": " + line->getValue().toString().toStdString() + "\n";
+      }
+    }
+    return text;
+  };
+  std_msgs::String volume;
+  volume.data = "/nowhere/another.nrrd";
+  volumes.publish(volume);
+  EXPECT_TRUE(spinUntil([&] { return status().find("/nowhere/another.nrrd") != std::string::npos; })) << status();
+  volume.data.clear();
+  volumes.publish(volume);
+  EXPECT_TRUE(spinUntil([&] { return status().find("CT: the neck phantom") != std::string::npos; }, 120.0)) << status();
 }
 
 TEST_F(AnatomyDisplayTest, LivesThroughWhateverComes)

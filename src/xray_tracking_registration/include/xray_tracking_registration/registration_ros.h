@@ -94,6 +94,7 @@ private:
   tf2_ros::Buffer tf_buffer_;
   tf2_ros::TransformListener tf_listener_;
   ros::Publisher refined_pose_publisher_;
+  ros::Publisher volume_publisher_;
   ros::ServiceServer load_service_;
   std::unique_ptr<RefinementServer> server_;
   std::unique_ptr<RenderServer> render_server_;

@@ -5,6 +5,8 @@
 #include <stdexcept>
 #include <utility>
 
+#include <std_msgs/String.h>
+
 #include "processor_clock.h"
 #include "xray_tracking_conversions/conversions.h"
 #include "xray_tracking_core/volume/neck_phantom.h"
@@ -36,6 +38,7 @@ RegistrationRos::RegistrationRos(const ros::NodeHandle& nh, const ros::NodeHandl
     configuration_fault_ = error.what();
   }
   refined_pose_publisher_ = nh_.advertise<xray_tracking_msgs::RefinedPose>("refined_pose", 100);
+  volume_publisher_ = pnh_.advertise<std_msgs::String>("volume", 1, true);
   load_service_ = pnh_.advertiseService("load_volume", &RegistrationRos::loadVolumeCb, this);
   server_ = std::make_unique<RefinementServer>(
       pnh_, [this](const auto&... request) { return serve(request...); },
@@ -133,7 +136,13 @@ std::string RegistrationRos::load(const std::string& ct_path)
       volume_state_ = "no volume: " + fault;
     }
   }
-  ROS_INFO_STREAM_COND(registration, "ready to register " << what);
+  if (registration)
+  {
+    std_msgs::String volume;
+    volume.data = ct_path;
+    volume_publisher_.publish(volume);
+    ROS_INFO_STREAM("ready to register " << what);
+  }
   return fault;
 }
 
