@@ -425,7 +425,8 @@ Stack makeStack(std::string label, std::vector<Slice> slices)
     stack.fault = "only one CT slice, expected a series";
     return stack;
   }
-  Eigen::Vector3d first, step;
+  Eigen::Vector3d first = Eigen::Vector3d::Zero();
+  Eigen::Vector3d step = Eigen::Vector3d::Zero();
   stack.fault = whyNotSame(stack.slices);
   if (stack.fault.empty())
   {

@@ -29,6 +29,30 @@ ros::Duration durationFromSeconds(double seconds)
 {
   return ros::Duration(std::clamp(seconds, 0.0, 1e9));
 }
+
+/// @param status other than SUCCESS
+std::string statusInWords(std::uint8_t status)
+{
+  switch (status)
+  {
+    case RefinementResult::UNRELIABLE:
+      return "does not believe what it found";
+    case RefinementResult::TIMED_OUT:
+      return "ran out of time";
+    case RefinementResult::CANCELLED:
+      return "was broken off";
+    case RefinementResult::INVALID:
+      return "cannot do what is asked";
+    case RefinementResult::NO_VOLUME:
+      return "has no CT";
+    case RefinementResult::NO_EXPOSURE:
+      return "does not have the exposure";
+    case RefinementResult::BUSY:
+      return "is at another request";
+    default:
+      return "answers with the unknown status " + std::to_string(status);
+  }
+}
 }  // namespace
 
 RefinementReply replyFrom(std::uint64_t id, const std::optional<RefinePose::Response>& response, const std::string& why)
@@ -43,8 +67,7 @@ RefinementReply replyFrom(std::uint64_t id, const std::optional<RefinePose::Resp
   const RefinementResult& result = response->result;
   if (result.status != RefinementResult::SUCCESS)
   {
-    reply.text =
-        "the registration's status is " + std::to_string(static_cast<int>(result.status)) + ": " + result.reason;
+    reply.text = "the registration " + statusInWords(result.status) + ": " + result.reason;
     return reply;
   }
   try
