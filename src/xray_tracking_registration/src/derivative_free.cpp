@@ -2,9 +2,9 @@
 
 #include <cmath>
 
+#include <tbb/parallel_for.h>
 #include <nlopt.hpp>
 
-#include "for_each_view.h"
 #include "gauss_newton.h"
 
 namespace xray_tracking
@@ -42,13 +42,13 @@ struct Objective
       return -1.0;  // below what any similarity gives near the optimum
     }
     std::vector<double> values(views.size());
-    forEachView(views.size(),
-                [&](std::size_t v)
-                {
-                  cv::Mat image;
-                  views[v].modelImage(bodies, poses, poses.saturationOf(v), image);
-                  values[v] = similarity(views[v].measuredImage(), image);
-                });
+    tbb::parallel_for(std::size_t{ 0 }, views.size(),
+                      [&](std::size_t v)
+                      {
+                        cv::Mat image;
+                        views[v].modelImage(bodies, poses, poses.saturationOf(v), image);
+                        values[v] = similarity(views[v].measuredImage(), image);
+                      });
     double mean = 0.0;
     for (const double value : values)
     {

@@ -6,9 +6,10 @@
 #include <numeric>
 #include <stdexcept>
 
+#include <tbb/parallel_for.h>
+
 #include "belief.h"
 #include "derivative_free.h"
-#include "for_each_view.h"
 #include "message.h"
 #include "reliability.h"
 #include "shifted_views.h"
@@ -292,13 +293,13 @@ double Descender::lossAside(const FineLevel& fine, const Outcome& outcome) const
   const std::array<RigidTransform, 2> places{ moved(poses, aside, bodies_.centre, Moving::TARGET).target,
                                               moved(poses, -aside, bodies_.centre, Moving::TARGET).target };
   std::vector<std::array<double, 2>> there(fine.views.size());
-  forEachView(2 * there.size(),
-              [&](std::size_t n)
-              {
-                const std::size_t v = n / 2;
-                there[v][n % 2] =
-                    fine.views[v].similarityAside(bodies_, places[n % 2], fine.at.models[v], poses.saturationOf(v));
-              });
+  tbb::parallel_for(std::size_t{ 0 }, 2 * there.size(),
+                    [&](std::size_t n)
+                    {
+                      const std::size_t v = n / 2;
+                      there[v][n % 2] = fine.views[v].similarityAside(bodies_, places[n % 2], fine.at.models[v],
+                                                                      poses.saturationOf(v));
+                    });
   std::array<double, 2> sums{};
   for (const std::array<double, 2>& view : there)
   {

@@ -4,9 +4,8 @@
 #include <cmath>
 #include <limits>
 
+#include <tbb/parallel_for.h>
 #include <Eigen/Cholesky>
-
-#include "for_each_view.h"
 
 namespace xray_tracking
 {
@@ -124,34 +123,34 @@ Linearisation linearise(const std::vector<ViewLevel>& views, const Bodies& bodie
                         const Linearisation* near)
 {
   Linearisation at{ std::vector<ViewModel>(views.size()), std::vector<Eigen::VectorXf>(views.size()) };
-  forEachView(views.size(),
-              [&](std::size_t v)
-              {
-                ViewModel& model = at.models[v];
-                if (near != nullptr)
-                {
-                  model.rendered = near->models[v].rendered;
-                }
-                views[v].model(bodies, poses, poses.saturationOf(v), moving, model);
-                Eigen::VectorXf deformation = Eigen::VectorXf::Zero(model.image.size());
-                if (moving == Moving::BOTH)
-                {
-                  deformation =
-                      kDeformation * kDeformation * model.derivatives.middleCols<3>(9).rowwise().squaredNorm();
-                }
-                at.weights[v] = pixelWeights(views[v], views[v].measured() - model.image, deformation);
-                const float scale = scaleOf(model.image, views[v].measured(), at.weights[v]);
-                model.image *= scale;
-                model.derivatives *= scale;
-              });
+  tbb::parallel_for(std::size_t{ 0 }, views.size(),
+                    [&](std::size_t v)
+                    {
+                      ViewModel& model = at.models[v];
+                      if (near != nullptr)
+                      {
+                        model.rendered = near->models[v].rendered;
+                      }
+                      views[v].model(bodies, poses, poses.saturationOf(v), moving, model);
+                      Eigen::VectorXf deformation = Eigen::VectorXf::Zero(model.image.size());
+                      if (moving == Moving::BOTH)
+                      {
+                        deformation =
+                            kDeformation * kDeformation * model.derivatives.middleCols<3>(9).rowwise().squaredNorm();
+                      }
+                      at.weights[v] = pixelWeights(views[v], views[v].measured() - model.image, deformation);
+                      const float scale = scaleOf(model.image, views[v].measured(), at.weights[v]);
+                      model.image *= scale;
+                      model.derivatives *= scale;
+                    });
   return at;
 }
 
 std::vector<double> similarities(const std::vector<ViewLevel>& views, const Bodies& bodies, const PosePair& poses)
 {
   std::vector<double> values(views.size());
-  forEachView(views.size(),
-              [&](std::size_t v) { values[v] = views[v].similarity(bodies, poses, poses.saturationOf(v)); });
+  tbb::parallel_for(std::size_t{ 0 }, views.size(),
+                    [&](std::size_t v) { values[v] = views[v].similarity(bodies, poses, poses.saturationOf(v)); });
   return values;
 }
 

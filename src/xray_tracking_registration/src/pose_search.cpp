@@ -9,8 +9,6 @@
 
 #include "xray_tracking_core/evaluation/evaluation.h"
 
-#include "for_each_view.h"
-
 namespace xray_tracking
 {
 namespace
@@ -142,7 +140,8 @@ PoseSearch::PoseSearch(const Run& run, const Bodies& bodies, const Eigen::Aligne
       std::clamp(kRotationSteps * step_ / sizeOf(target_box), kMinRotationStep, kMaxRotationStep);
   rotations_ = latticePoints(bounds.rotation_rad, rotation_step);
   views_.resize(run.attenuation.size());
-  forEachView(views_.size(), [&](std::size_t v) { views_[v] = makeView(run.request.views[v], run.attenuation[v]); });
+  tbb::parallel_for(std::size_t{ 0 }, views_.size(),
+                    [&](std::size_t v) { views_[v] = makeView(run.request.views[v], run.attenuation[v]); });
 }
 
 PoseSearch::View PoseSearch::makeView(const RegistrationView& from, const AttenuationImage& attenuation) const

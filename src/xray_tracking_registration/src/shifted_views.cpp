@@ -4,9 +4,8 @@
 #include <cmath>
 #include <stdexcept>
 
+#include <tbb/parallel_for.h>
 #include <opencv2/imgproc.hpp>
-
-#include "for_each_view.h"
 
 namespace xray_tracking
 {
@@ -43,8 +42,9 @@ ShiftedViews::ShiftedViews(const Run& run, const std::vector<ViewLevel>& views, 
                            const Eigen::Vector3d& room_centre, double reach)
   : views_(views.size())
 {
-  forEachView(
-      views.size(), [&](std::size_t v)
+  tbb::parallel_for(
+      std::size_t{ 0 }, views.size(),
+      [&](std::size_t v)
       { views_[v] = slide(run.request.views[v], run.attenuation[v], views[v], models[v], room_centre, reach); });
 }
 
@@ -166,8 +166,8 @@ Eigen::Vector3d mostAlikeShift(const Run& run, const Bodies& bodies, const std::
 {
   Eigen::Vector3d best = Eigen::Vector3d::Zero();
   std::vector<cv::Mat> models(views.size());
-  forEachView(views.size(),
-              [&](std::size_t v) { views[v].modelImage(bodies, poses, poses.saturationOf(v), models[v]); });
+  tbb::parallel_for(std::size_t{ 0 }, views.size(),
+                    [&](std::size_t v) { views[v].modelImage(bodies, poses, poses.saturationOf(v), models[v]); });
   try
   {
     const ShiftedViews shifted(run, views, models, poses.target * bodies.centre, reach);
