@@ -14,8 +14,10 @@ import rosbag
 import rospy
 import rostest
 import yaml
+from xray_tracking_msgs.msg import PatientMotion
 
-LIMITS = ("max_median_mm", "max_p95_mm", "max_mm", "min_share", "max_latency_ms", "gate_max_mm")
+LIMITS = ("max_median_mm", "max_p95_mm", "max_mm", "min_share", "min_registered", "min_verified", "max_latency_ms",
+          "gate_max_mm")
 
 
 def limit(text):
@@ -123,7 +125,11 @@ class AcceptanceTest(unittest.TestCase):
         with open(os.path.join(cls.out, "tre.csv"), encoding="utf-8") as file:
             cls.frames = [row for row in csv.DictReader(file) if row["method"] == method]
         cls.exposures = exposures
-        cls.open = {message.exposure.to_sec() for _, message, _ in messages(recorded, ("beam_gate",)) if message.open}
+        gates = [message for _, message, _ in messages(recorded, ("beam_gate",))]
+        cls.open = {message.exposure.to_sec() for message in gates if message.open}
+        cls.verified = {message.exposure.to_sec() for message in gates if message.verified}
+        cls.registered = {message.header.stamp.to_sec() for _, message, _ in messages(recorded, ("patient_motion",))
+                          if message.state == PatientMotion.OK and message.source == PatientMotion.REGISTERED}
 
     def told(self, frame):
         return (f"frame {frame['frame']} at {frame['stamp_s']} s, status {frame['status']}, TRE "
@@ -140,7 +146,7 @@ class AcceptanceTest(unittest.TestCase):
         """value against the limit of that name."""
         bound = getattr(self.arguments, name)
         print(f"{figure} is {value:.4g}, limit {name} {bound:.4g}")
-        kept = value >= bound if name == "min_share" else value <= bound
+        kept = value >= bound if name.startswith("min_") else value <= bound
         self.assertTrue(kept, f"{figure} is {value:.4g}, limit {name} is {bound:.4g}; worst: {worst}")
 
     def test_every_exposure_is_answered(self):
@@ -154,6 +160,22 @@ class AcceptanceTest(unittest.TestCase):
         reasons = [line for line in self.table.splitlines() if " lost: " in line or " failed: " in line]
         self.hold("min_share", "share of exposures with a pose", 1.0 - len(lost) / (self.exposures - 1),
                   f"{self.told(lost[0])}: {reasons[0] if reasons else ''}" if lost else "none is lost")
+
+    @staticmethod
+    def is_of(frame, stamps):
+        return any(abs(float(frame["stamp_s"]) - stamp) < 1e-4 for stamp in stamps)
+
+    def hold_share_of_all(self, name, figure, stamps):
+        if getattr(self.arguments, name) is not None:
+            others = [frame for frame in self.frames if not self.is_of(frame, stamps)]
+            self.hold(name, figure, 1.0 - len(others) / self.exposures,
+                      f"{self.told(others[0])}\n{self.table}" if others else "none is not")
+
+    def test_share_registered(self):
+        self.hold_share_of_all("min_registered", "share of exposures with a registered pose", self.registered)
+
+    def test_share_verified(self):
+        self.hold_share_of_all("min_verified", "share of exposures whose pose was verified", self.verified)
 
     def hold_error(self, name, figure, quantile):
         if getattr(self.arguments, name) is not None:
@@ -180,8 +202,7 @@ class AcceptanceTest(unittest.TestCase):
     def test_open_gate(self):
         if self.arguments.gate_max_mm is None:
             return
-        opened = [entry for entry in self.errors("gate_max_mm")
-                  if any(abs(float(entry[1]["stamp_s"]) - stamp) < 1e-4 for stamp in self.open)]
+        opened = [entry for entry in self.errors("gate_max_mm") if self.is_of(entry[1], self.open)]
         self.assertTrue(opened, f"gate_max_mm cannot be judged: the gate was never open\n{self.table}")
         self.hold("gate_max_mm", "largest TRE under an open gate [mm]", opened[-1][0], self.told(opened[-1][1]))
 
