@@ -2,11 +2,11 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdint>
 #include <stdexcept>
 #include <string>
 
-#include <cv_bridge/cv_bridge.h>
-#include <sensor_msgs/image_encodings.h>
+#include "xray_tracking_conversions/image_pixels.h"
 
 namespace xray_tracking
 {
@@ -50,23 +50,16 @@ void lookUp(const cv::Mat& pixels, const std::vector<std::uint8_t>& table, cv::M
 
 cv::Mat pixelsOf(const sensor_msgs::ImageConstPtr& image)
 {
-  namespace encodings = sensor_msgs::image_encodings;
-  const std::string& encoding = image->encoding;
-  const bool wide = encoding == encodings::MONO16 || encoding == encodings::TYPE_16UC1;
-  if (!wide && encoding != encodings::MONO8 && encoding != encodings::TYPE_8UC1)
-  {
-    throw std::invalid_argument("the image's encoding is " + encoding + ", expected mono16 or mono8");
-  }
-  const std::size_t row = std::size_t{ image->width } * (wide ? 2 : 1);
-  if (image->width == 0 || image->height == 0 || image->step < row ||
-      image->data.size() < std::size_t{ image->step } * image->height || image->width > 16384 || image->height > 16384)
+  constexpr std::uint32_t kLargest = 16384;
+  if (image->width > kLargest || image->height > kLargest ||
+      image->data.size() < std::size_t{ image->step } * image->height)
   {
     throw std::invalid_argument("the image has " + std::to_string(image->width) + " x " +
                                 std::to_string(image->height) + " pixels in " + std::to_string(image->data.size()) +
                                 " bytes, " + std::to_string(image->step) +
                                 " a row: expected 1 to 16384 each way and as many bytes");
   }
-  return cv_bridge::toCvShare(image)->image;
+  return pixelsFromMsg(*image);
 }
 
 double GreyWindow::tone(double value) const
