@@ -56,6 +56,7 @@ TEST_P(SequenceTest, RefinesFromTracking)
   const Registration registration(bodiesOf(ct, targetMaskOf(ct, setup.target_box)), setup.target_box);
   std::mt19937 random(1);
   std::vector<double> errors;
+  double nees = 0.0;
   RigidTransform target_from_rest = RigidTransform::Identity();
   for (std::size_t n = 0; n < sequence.exposures.size(); ++n)
   {
@@ -66,9 +67,15 @@ TEST_P(SequenceTest, RefinesFromTracking)
     ASSERT_EQ(result.status, RegistrationStatus::SUCCESS) << "exposure " << n << ": " << result.reason;
     target_from_rest = result.target_from_rest;
     errors.push_back(targetRegistrationError(result.room_from_patient, gold, setup.target_box));
+    const Twist twist = twistAbout(gold * setup.targetCentre(), result.room_from_patient * gold.inverse());
+    nees += twist.dot(result.covariance.ldlt().solve(twist)) / static_cast<double>(sequence.exposures.size());
   }
   EXPECT_LE(quantile(errors, 0.5), GetParam().median);
   EXPECT_LE(quantile(errors, 0.95), GetParam().p95);
+  // The covariance was chosen on other data. Errors of one sequence's exposures are alike, so that the mean over them
+  // of what averages 6 is known to a factor of 1.5 rather than to 6 sqrt(2 / (6 20)).
+  EXPECT_GT(nees, 6.0 / 1.5 / 1.5);
+  EXPECT_LT(nees, 6.0 * 1.5);
 }
 
 /// Real X-rays of a wrist, registered with nothing but a segmentation of the radius, solid and of one attenuation. The
