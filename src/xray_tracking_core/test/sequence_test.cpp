@@ -209,6 +209,53 @@ TEST(Sequence, DetectorsMayBeExposedMillisecondsApart)
   }
 }
 
+/// By the numbers in their names, however these are written.
+TEST(Sequence, FramesMayBePatternsOfFiles)
+{
+  SequenceFolder folder;
+  std::filesystem::create_directory(folder.folder().path("cam1"));
+  std::filesystem::create_directory(folder.folder().path("cam2"));
+  for (int k = 0; k < 12; ++k)
+  {
+    const cv::Mat image(kSize.y(), kSize.x(), CV_16UC1, cv::Scalar(1000 + k));
+    cv::imwrite(folder.folder().path("cam1/run2_" + std::to_string(k + 1) + ".png"), image);  // 1, 2, .. 12
+    cv::imwrite(folder.folder().path("cam2/f" + std::string(k < 10 ? "00" : "0") + std::to_string(k) + ".png"), image);
+  }
+  folder.yaml = replaced(folder.yaml, "frames: frames.csv",
+                         "frames: {rate: 30, files: {detector_a: cam1/*.png, detector_b: 'cam2/f???.png'}}");
+  folder.yaml = replaced(folder.yaml, "gold_standard: gold.csv\n", "");
+  folder.write();
+  const Sequence sequence = folder.load();
+  ASSERT_EQ(12u, sequence.exposures.size());
+  EXPECT_EQ(1u, sequence.tables.size());
+  for (int k = 0; k < 12; ++k)
+  {
+    const auto at = static_cast<std::size_t>(k);
+    EXPECT_EQ(std::llround(k / 30.0 * 1e9), sequence.exposures[at].stamp_ns);
+    EXPECT_EQ(1000 + k, sequence.image(at, 0).at<std::uint16_t>(0, 0)) << sequence.exposures[at].files[0];
+    EXPECT_EQ(1000 + k, sequence.image(at, 1).at<std::uint16_t>(0, 0)) << sequence.exposures[at].files[1];
+  }
+
+  const std::string good = "{rate: 30, files: {detector_a: cam1/*.png, detector_b: 'cam2/f???.png'}}";
+  const auto refused = [&](const std::string& from, const std::string& to, const std::vector<std::string>& parts)
+  {
+    const std::string yaml = folder.yaml;
+    folder.yaml = replaced(yaml, good, replaced(good, from, to));
+    folder.expectLoadError(parts);
+    folder.yaml = yaml;
+  };
+  refused("rate: 30", "rate: 0", { "sequence.yaml, line", "frames.rate", "exposures a second" });
+  refused("rate: 30", "rate: .nan", { "frames.rate", "finite" });
+  refused("rate: 30, ", "", { "frames.rate", "missing" });
+  refused("files:", "images:", { "frames.files", "missing" });
+  refused("cam1/*.png", "cam1/*.tif", { "frames.files.detector_a", "cam1/*.tif", "files that are there" });
+  refused("cam1/*.png", "cam1/*2.png", { "frames.files.detector_b", "as many files as detector_a has, 2, not 12" });
+  refused("detector_b: 'cam2", "detector_c: 'cam2", { "frames.files.detector_c", "detector_a, detector_b" });
+  refused(", detector_b: 'cam2/f???.png'", "", { "no image of detector_b" });
+  cv::imwrite(folder.folder().path("cam1/run2_03.png"), cv::Mat(kSize.y(), kSize.x(), CV_16UC1, cv::Scalar(7)));
+  refused("rate: 30", "rate: 20", { "frames.files.detector_a", "run2_03.png", "run2_3.png" });
+}
+
 /// It is the files' matter alone: images come out straight, and what a graph or a bag is told has none.
 TEST(Sequence, DistortedImagesAreReadStraight)
 {

@@ -9,6 +9,7 @@
 #include <sstream>
 #include <stdexcept>
 
+#include "frame_files.h"
 #include "yaml_field.h"
 
 namespace xray_tracking
@@ -294,8 +295,12 @@ std::vector<StampedPose> loadPoses(const std::string& path)
 std::vector<FrameRow> loadFrameTable(const std::string& directory)
 {
   const std::filesystem::path folder = std::filesystem::absolute(directory);
-  const std::filesystem::path path =
-      folder / YamlField::fromFile((folder / "sequence.yaml").string()).get("frames").text();
+  const YamlField frames = YamlField::fromFile((folder / "sequence.yaml").string()).get("frames");
+  if (!frames.isScalar())
+  {
+    return frameFiles(frames, folder.string());
+  }
+  const std::filesystem::path path = folder / frames.text();
   std::vector<FrameRow> rows;
   CsvReader row(path.string(), { "stamp_s", "detector", "file" });
   while (row.next())
@@ -335,7 +340,11 @@ Sequence loadSequence(const std::string& directory)
     }
   }
   const auto tolerance_ns = static_cast<std::int64_t>(std::llround(tolerance_s * 1e9));
-  sequence.tables = { path, (folder / root.get("frames").text()).string() };
+  sequence.tables = { path };
+  if (const YamlField frames = root.get("frames"); frames.isScalar())
+  {
+    sequence.tables.push_back((folder / frames.text()).string());
+  }
   sequence.exposures = pairExposures(sequence.setup, loadFrameTable(directory), tolerance_ns);
   const std::string gold_standard = goldStandardPath(directory);
   if (!gold_standard.empty())

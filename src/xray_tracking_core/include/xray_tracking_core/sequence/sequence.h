@@ -49,16 +49,18 @@ struct Sequence
 /// @throws std::runtime_error naming file, key and value, and what LensDistortion says
 std::vector<LensDistortion> loadDistortions(const std::string& path, const std::vector<ProjectionGeometry>& detectors);
 
-/// A row of a sequence's table of frames.
+/// A row of a sequence's table of frames, or what a pattern of files makes one of.
 struct FrameRow
 {
   std::int64_t stamp_ns = 0;
   std::string detector;
   std::string file;   ///< absolute
-  std::string where;  ///< table and line, for messages
+  std::string where;  ///< table and line, or the pattern, for messages
 };
 
-/// A sequence folder's table of frames, row by row as it is: also one that loadSequence() refuses.
+/// A sequence folder's frames, row by row as they are, also where loadSequence() refuses them: of the table that
+/// `frames` names, or of `frames: {rate: Hz, files: {DETECTOR: PATTERN}}`, the k-th file of each pattern at k / rate,
+/// by the numbers in their names.
 /// @throws std::runtime_error naming the file, the line and what is wrong with the row itself
 std::vector<FrameRow> loadFrameTable(const std::string& directory);
 
