@@ -294,6 +294,10 @@ Sequence loadSequence(const std::string& directory)
   }
   const auto tolerance_ns = static_cast<std::int64_t>(std::llround(tolerance_s * 1e9));
   sequence.tables = { path, (folder / root.get("frames").text()).string() };
+  if (sequence.setup.target_structure)
+  {
+    sequence.tables.push_back(sequence.setup.target_structure->file);
+  }
   sequence.exposures = pairExposures(sequence.setup, loadFrameTable(directory), tolerance_ns);
   const std::string gold_standard = goldStandardPath(directory);
   if (!gold_standard.empty())

@@ -10,6 +10,8 @@
 #include <gdcmDataSet.h>
 #include <gdcmFile.h>
 
+#include "dicom_extent.h"
+
 namespace xray_tracking
 {
 /// GDCM and ITK write pages to stderr about files that they nevertheless read; what matters is found here and thrown.
@@ -39,8 +41,9 @@ private:
 /// A DICOM file without its pixels.
 struct DicomHeader
 {
-  DicomData data;
-  std::string fault;  ///< if the pixels are fewer than it says, of which GDCM only warns; the decoder tells of others
+  DicomData data;     ///< none if the file ends within its header
+  std::string fault;  ///< if the file ends before it says; the pixels' reader tells of others
+  DicomExtent extent;
 };
 
 /// Nothing if it is no DICOM file.

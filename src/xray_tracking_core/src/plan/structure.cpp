@@ -1,0 +1,497 @@
+#include "xray_tracking_core/plan/structure.h"
+
+#include <algorithm>
+#include <cmath>
+#include <sstream>
+#include <utility>
+
+#include <opencv2/imgproc.hpp>
+
+#include "rt_file.h"
+
+namespace xray_tracking
+{
+namespace
+{
+const gdcm::Tag kSopInstance(0x0008, 0x0018);
+const gdcm::Tag kFrameOfReference(0x0020, 0x0052);
+const gdcm::Tag kReferencedFrames(0x3006, 0x0010);
+const gdcm::Tag kRois(0x3006, 0x0020);
+const gdcm::Tag kRoiNumber(0x3006, 0x0022);
+const gdcm::Tag kReferencedFrame(0x3006, 0x0024);
+const gdcm::Tag kRoiName(0x3006, 0x0026);
+const gdcm::Tag kRoiContours(0x3006, 0x0039);
+const gdcm::Tag kContours(0x3006, 0x0040);
+const gdcm::Tag kGeometricType(0x3006, 0x0042);
+const gdcm::Tag kSlabThickness(0x3006, 0x0044);
+const gdcm::Tag kOffsetVector(0x3006, 0x0045);
+const gdcm::Tag kPointCount(0x3006, 0x0046);
+const gdcm::Tag kContourData(0x3006, 0x0050);
+const gdcm::Tag kReferencedRoi(0x3006, 0x0084);
+
+/// No patient is larger [mm].
+constexpr double kFarthest = 1e4;
+/// What rounding to 0.1 mm makes of a plane that is oblique, twice [mm].
+constexpr double kPlanar = 0.2;
+/// Planning systems draw on every slice, or on every second or third of thin ones [mm].
+constexpr double kMostApart = 10.0;
+/// Of the usual distance: beyond it a plane has no neighbour there.
+constexpr double kNeighbour = 1.5;
+/// Of the usual distance: contours of one plane.
+constexpr double kOnePlane = 0.3;
+/// Contours nearer to each other all along are one, drawn twice; what overlaps by less is rounding [mm].
+constexpr double kSame = 0.5;
+
+std::string numbersText(const std::vector<double>& values)
+{
+  std::ostringstream text;
+  for (std::size_t n = 0; n < values.size(); ++n)
+  {
+    text << (n == 0 ? "" : "\\") << values[n];
+  }
+  return text.str();
+}
+
+/// The ROI's item of StructureSetROISequence.
+DicomData chosenRoi(const DicomData& file, const StructureChoice& choice)
+{
+  constexpr std::size_t kMostListed = 200;
+  const std::vector<DicomData> rois = file.items(kRois);
+  if (rois.empty())
+  {
+    failRt(choice.file, "StructureSetROISequence (3006,0020) is absent or empty, expected structures");
+  }
+  std::vector<DicomData> found;
+  std::string names;
+  for (std::size_t n = 0; n < rois.size(); ++n)
+  {
+    const std::string name = rtName(file, rois[n], kRoiName);
+    if (name == choice.roi)
+    {
+      found.push_back(rois[n]);
+    }
+    if (n < kMostListed)
+    {
+      names += (n == 0 ? "'" : ", '") + name + "'";
+    }
+  }
+  if (found.empty())
+  {
+    failRt(choice.file, "no structure has the ROIName (3006,0026) '" + choice.roi + "', expected one of " + names +
+                            (rois.size() > kMostListed ? " and more" : ""));
+  }
+  if (found.size() > 1)
+  {
+    failRt(choice.file, std::to_string(found.size()) + " structures have the ROIName (3006,0026) '" + choice.roi +
+                            "', ROINumber " + found[0].text(kRoiNumber) + " and " + found[1].text(kRoiNumber) +
+                            ": expected one; rename the others and export again");
+  }
+  return found.front();
+}
+
+/// The item of ROIContourSequence that has the ROI's contours.
+DicomData contoursOf(const DicomData& file, const DicomData& roi, const std::string& where)
+{
+  const std::string number = roi.text(kRoiNumber);
+  std::vector<DicomData> found;
+  for (const DicomData& item : file.items(kRoiContours))
+  {
+    if (roi.number(kRoiNumber) && item.number(kReferencedRoi) == roi.number(kRoiNumber))
+    {
+      found.push_back(item);
+    }
+  }
+  if (found.size() > 1)
+  {
+    failRt(where, "ROINumber " + number + " has " + std::to_string(found.size()) +
+                      " items in ROIContourSequence (3006,0039), expected 1");
+  }
+  if (found.empty() || found.front().items(kContours).empty())
+  {
+    failRt(where, "ROINumber " + number +
+                      " has no contours (ContourSequence (3006,0040) is absent or empty), expected "
+                      "a structure that is drawn");
+  }
+  return found.front();
+}
+
+std::vector<Eigen::Vector3d> pointsOf(const DicomData& contour, const std::string& where)
+{
+  const std::string type = contour.text(kGeometricType);
+  if (type != "CLOSED_PLANAR" && type != "CLOSEDPLANAR_XOR")
+  {
+    failRt(where, "ContourGeometricType (3006,0042) is " + (type.empty() ? "absent" : type) +
+                      ", expected CLOSED_PLANAR or CLOSEDPLANAR_XOR: " +
+                      (type == "POINT" ? "a point has no extent" : "only closed contours enclose a target"));
+  }
+  const std::vector<double> offset = contour.numbers(kOffsetVector);
+  if (std::any_of(offset.begin(), offset.end(), [](double value) { return value != 0.0; }))
+  {
+    failRt(where, "ContourOffsetVector (3006,0045) is " + numbersText(offset) + ", expected none or 0\\0\\0");
+  }
+  const std::vector<double> values = contour.numbers(kContourData);
+  if (values.empty())
+  {
+    const std::string text = contour.text(kContourData);
+    failRt(where, "ContourData (3006,0050) is " +
+                      (text.empty() ? "absent or empty" : "'" + text.substr(0, 60) + "...'") +
+                      ", expected numbers x\\y\\z of each point");
+  }
+  const std::vector<double> count = contour.numbers(kPointCount);
+  if (values.size() % 3 != 0 || (!count.empty() && count.front() != static_cast<double>(values.size()) / 3.0))
+  {
+    failRt(where, "ContourData (3006,0050) has " + std::to_string(values.size()) +
+                      " numbers, expected three for each of " +
+                      (count.empty() ? "its points" : "NumberOfContourPoints (3006,0046) " + numbersText(count)));
+  }
+  std::vector<Eigen::Vector3d> points;
+  for (std::size_t n = 0; n < values.size(); n += 3)
+  {
+    const Eigen::Vector3d point(values[n], values[n + 1], values[n + 2]);
+    // Negated so that NaN fails, too.
+    if (!(point.cwiseAbs().maxCoeff() <= kFarthest))
+    {
+      failRt(where, "ContourData (3006,0050) has the point " + numbersText({ point.x(), point.y(), point.z() }) +
+                        ", expected mm within " + numbersText({ kFarthest }) + " of the origin");
+    }
+    points.push_back(point);
+  }
+  return points;
+}
+
+/// Twice the area as a vector along the normal; its sign is that of the order of points.
+Eigen::Vector3d areaVector(const std::vector<Eigen::Vector3d>& points)
+{
+  Eigen::Vector3d area = Eigen::Vector3d::Zero();
+  for (std::size_t n = 1; n + 1 < points.size(); ++n)
+  {
+    area += (points[n] - points[0]).cross(points[n + 1] - points[0]);
+  }
+  return area;
+}
+
+using Polygon = std::vector<cv::Point2f>;
+
+/// The least and the largest distance that points lie inside of a polygon; negative: outside.
+std::pair<double, double> depths(const Polygon& points, const Polygon& polygon)
+{
+  std::pair<double, double> range(kFarthest, -kFarthest);
+  for (const cv::Point2f& point : points)
+  {
+    const double depth = cv::pointPolygonTest(polygon, point, true);
+    range = { std::min(range.first, depth), std::max(range.second, depth) };
+  }
+  return range;
+}
+}  // namespace
+
+void Structure::fail(const std::string& what) const
+{
+  failRt(choice_.file, "ROI '" + choice_.roi + "': " + what);
+}
+
+Structure Structure::read(const StructureChoice& choice)
+{
+  const DicomData file = readRtFile(choice.file, "RTSTRUCT");
+  const DicomData roi = chosenRoi(file, choice);
+  const std::string where = choice.file + ": ROI '" + choice.roi + "'";
+  Structure structure;
+  structure.choice_ = choice;
+  structure.uid_ = file.text(kSopInstance);
+  structure.frame_of_reference_ = roi.text(kReferencedFrame);
+  const std::vector<DicomData> frames = file.items(kReferencedFrames);
+  if (structure.frame_of_reference_.empty())
+  {
+    structure.frame_of_reference_ = frames.size() == 1 ? frames.front().text(kFrameOfReference) : "";
+  }
+  if (structure.frame_of_reference_.empty())
+  {
+    structure.fail("ReferencedFrameOfReferenceUID (3006,0024) is absent, expected that of the CT it is drawn on");
+  }
+
+  double slab_thickness = 0.0;
+  std::vector<Drawn> contours;
+  int number = 0;
+  for (const DicomData& contour : contoursOf(file, roi, where).items(kContours))
+  {
+    ++number;
+    Drawn drawn{ number, pointsOf(contour, where + ", contour " + std::to_string(number)) };
+    slab_thickness = std::max(slab_thickness, contour.number(kSlabThickness).value_or(0.0));
+    if (drawn.points.size() > 2)
+    {
+      contours.push_back(std::move(drawn));
+    }
+  }
+  structure.setAxes(contours);
+  structure.setPlanes(contours, slab_thickness);
+  return structure;
+}
+
+void Structure::setAxes(const std::vector<Drawn>& contours)
+{
+  // Of all contours: that of a small one is mostly rounding.
+  Eigen::Vector3d sum = Eigen::Vector3d::Zero();
+  for (const Drawn& contour : contours)
+  {
+    const Eigen::Vector3d area = areaVector(contour.points);
+    sum += area.dot(sum) < 0.0 ? Eigen::Vector3d(-area) : area;
+  }
+  if (!(sum.norm() > 1e-3))
+  {
+    fail("its contours enclose nothing, expected an area");
+  }
+  const Eigen::Vector3d normal = sum.normalized();
+  plane_from_patient_.row(0) = normal.unitOrthogonal();
+  plane_from_patient_.row(1) = normal.cross(normal.unitOrthogonal());
+  plane_from_patient_.row(2) = normal;
+}
+
+void Structure::setPlanes(const std::vector<Drawn>& contours, double slab_thickness)
+{
+  std::vector<std::pair<double, std::vector<Eigen::Vector2d>>> by_offset;
+  for (const Drawn& contour : contours)
+  {
+    double least = kFarthest * 2.0, most = -kFarthest * 2.0, mean = 0.0;
+    std::vector<Eigen::Vector2d> flat;
+    for (const Eigen::Vector3d& point : contour.points)
+    {
+      const Eigen::Vector3d turned = plane_from_patient_ * point;
+      flat.emplace_back(turned.head<2>());
+      least = std::min(least, turned.z());
+      most = std::max(most, turned.z());
+      mean += turned.z() / static_cast<double>(contour.points.size());
+    }
+    if (most - least > 2.0 * kPlanar)
+    {
+      std::ostringstream message;
+      message << "contour " << contour.number << " is " << most - least << " mm thick along the normal "
+              << plane_from_patient_.row(2) << " of the others, expected plane contours on parallel planes, "
+              << 2.0 * kPlanar << " mm at most";
+      fail(message.str());
+    }
+    by_offset.emplace_back(mean, std::move(flat));
+  }
+  std::stable_sort(by_offset.begin(), by_offset.end(), [](const auto& a, const auto& b) { return a.first < b.first; });
+  double widest = 0.0;
+  for (auto& [offset, contour] : by_offset)
+  {
+    if (planes_.empty() || offset - planes_.back().offset > kPlanar)
+    {
+      planes_.push_back({ offset, offset, offset, {} });
+    }
+    widest = std::max(widest, offset - planes_.back().offset);
+    planes_.back().contours.push_back(std::move(contour));
+  }
+
+  double usual = slab_thickness;
+  std::vector<double> distances;
+  for (std::size_t n = 1; n < planes_.size(); ++n)
+  {
+    distances.push_back(planes_[n].offset - planes_[n - 1].offset);
+  }
+  if (!distances.empty())
+  {
+    std::vector<double> sorted = distances;
+    const auto middle = sorted.begin() + static_cast<std::ptrdiff_t>((sorted.size() - 1) / 2);
+    std::nth_element(sorted.begin(), middle, sorted.end());
+    usual = *middle;
+  }
+  std::ostringstream message;
+  if (!(usual > 0.0))
+  {
+    message << "all contours are on one plane and ContourSlabThickness (3006,0044) is absent, expected contours on at "
+               "least two slices: how far does it reach beside the plane?";
+  }
+  else if (usual > kMostApart)
+  {
+    message << "its contours are " << usual << " mm apart, expected at most " << kMostApart
+            << ": let the planning system draw those in between";
+  }
+  else if (widest > kOnePlane * usual)
+  {
+    message << "contours " << widest << " mm apart may be on one plane or on two, as planes are " << usual
+            << " mm apart, expected planes at least " << kPlanar / kOnePlane << " mm apart";
+  }
+  if (!message.str().empty())
+  {
+    fail(message.str());
+  }
+  for (std::size_t n = 0; n < planes_.size(); ++n)
+  {
+    const auto reach = [&](bool exists, std::size_t gap)
+    { return 0.5 * (exists && distances[gap] <= kNeighbour * usual ? distances[gap] : usual); };
+    planes_[n].lower = planes_[n].offset - reach(n > 0, n - 1);
+    planes_[n].upper = planes_[n].offset + reach(n + 1 < planes_.size(), n);
+    requireApart(planes_[n]);
+  }
+}
+
+void Structure::requireApart(const Plane& plane) const
+{
+  std::vector<Polygon> polygons;
+  std::vector<Eigen::AlignedBox2d> boxes;
+  for (const std::vector<Eigen::Vector2d>& contour : plane.contours)
+  {
+    polygons.emplace_back();
+    boxes.emplace_back();
+    for (const Eigen::Vector2d& point : contour)
+    {
+      polygons.back().emplace_back(static_cast<float>(point.x()), static_cast<float>(point.y()));
+      boxes.back().extend(point);
+    }
+  }
+  for (std::size_t a = 0; a < polygons.size(); ++a)
+  {
+    for (std::size_t b = 0; b < a; ++b)
+    {
+      if (!boxes[a].intersects(boxes[b]))
+      {
+        continue;
+      }
+      const auto [a_least, a_most] = depths(polygons[a], polygons[b]);
+      const auto [b_least, b_most] = depths(polygons[b], polygons[a]);
+      const bool same = std::max({ -a_least, a_most, -b_least, b_most }) < kSame;
+      const bool partly = (a_least < -kSame && a_most > kSame) || (b_least < -kSame && b_most > kSame);
+      if (same || partly)
+      {
+        const Eigen::Vector3d point =
+            plane_from_patient_.transpose() *
+            Eigen::Vector3d(plane.contours[a].front().x(), plane.contours[a].front().y(), plane.offset);
+        fail(std::string(same ? "a contour is there twice" : "two contours overlap in part") +
+             " on the plane through " + numbersText({ point.x(), point.y(), point.z() }) +
+             " mm, expected contours beside or within each other: is it a hole or is it inside?");
+      }
+    }
+  }
+}
+
+Eigen::AlignedBox3d Structure::box() const
+{
+  Eigen::AlignedBox3d box;
+  for (const Plane& plane : planes_)
+  {
+    for (const std::vector<Eigen::Vector2d>& contour : plane.contours)
+    {
+      for (const Eigen::Vector2d& point : contour)
+      {
+        for (const double offset : { plane.lower, plane.upper })
+        {
+          box.extend(plane_from_patient_.transpose() * Eigen::Vector3d(point.x(), point.y(), offset));
+        }
+      }
+    }
+  }
+  return box;
+}
+
+void Structure::inside(const Eigen::Vector3d& start, const Eigen::Vector3d& step, int count,
+                       std::vector<std::pair<int, int>>& runs) const
+{
+  const Eigen::Vector3d first = plane_from_patient_ * start;
+  const Eigen::Vector3d along = plane_from_patient_ * step;
+  const auto indexFrom = [&](double place)
+  { return static_cast<int>(std::clamp(std::ceil(place), 0.0, double(count))); };
+  std::vector<double> crossings;
+  for (const Plane& plane : planes_)
+  {
+    // The row's part within the slab.
+    int begin = 0, end = count;
+    if (std::abs(along.z()) * count > 1e-9)
+    {
+      const double a = (plane.lower - first.z()) / along.z(), b = (plane.upper - first.z()) / along.z();
+      begin = indexFrom(std::min(a, b));
+      end = indexFrom(std::max(a, b));
+    }
+    else if (first.z() < plane.lower || first.z() >= plane.upper)
+    {
+      continue;
+    }
+    if (begin >= end)
+    {
+      continue;
+    }
+    crossings.clear();
+    const auto side = [&](const Eigen::Vector2d& point)
+    { return along.x() * (point.y() - first.y()) - along.y() * (point.x() - first.x()); };
+    for (const std::vector<Eigen::Vector2d>& contour : plane.contours)
+    {
+      const Eigen::Vector2d* before = &contour.back();
+      double side_before = side(*before);
+      for (const Eigen::Vector2d& point : contour)
+      {
+        const double side_here = side(point);
+        if ((side_before > 0.0) != (side_here > 0.0))
+        {
+          const Eigen::Vector2d cross = *before + side_before / (side_before - side_here) * (point - *before);
+          crossings.push_back((cross - first.head<2>()).dot(along.head<2>()) / along.head<2>().squaredNorm());
+        }
+        before = &point;
+        side_before = side_here;
+      }
+    }
+    std::sort(crossings.begin(), crossings.end());
+    for (std::size_t n = 0; n + 1 < crossings.size(); n += 2)
+    {
+      const int from = std::max(begin, indexFrom(crossings[n])), to = std::min(end, indexFrom(crossings[n + 1]));
+      if (from < to)
+      {
+        runs.emplace_back(from, to);
+      }
+    }
+  }
+}
+
+CtVolume Structure::labels(const VolumeGrid& grid) const
+{
+  CtVolume volume{ grid, std::vector<std::int16_t>(grid.voxelCount(), 0) };
+  // Rows along the axis that lies best in the planes.
+  const Eigen::Matrix3d axes = plane_from_patient_ * grid.patient_from_index.linear();
+  Eigen::Index row = 0;
+  axes.topRows<2>().colwise().norm().cwiseQuotient(axes.colwise().norm()).maxCoeff(&row);
+  const auto u = static_cast<int>((row + 1) % 3), v = static_cast<int>((row + 2) % 3);
+  std::vector<std::pair<int, int>> runs;
+  bool any = false;
+  for (int n = 0; n < grid.size[v]; ++n)
+  {
+    for (int m = 0; m < grid.size[u]; ++m)
+    {
+      Eigen::Vector3i index = Eigen::Vector3i::Zero();
+      index[u] = m;
+      index[v] = n;
+      runs.clear();
+      inside(grid.patient_from_index * index.cast<double>(), grid.patient_from_index.linear().col(row), grid.size[row],
+             runs);
+      for (const auto& [from, to] : runs)
+      {
+        any = true;
+        for (index[row] = from; index[row] < to; ++index[row])
+        {
+          volume.hu[grid.offset(index.x(), index.y(), index.z())] = 1;
+        }
+      }
+    }
+  }
+  if (!any)
+  {
+    fail("no voxel of the CT is inside, expected a structure that was drawn on it");
+  }
+  return volume;
+}
+
+void Structure::requireOn(const CtFrame& ct) const
+{
+  if (ct.frame_of_reference != frame_of_reference_)
+  {
+    fail("its frame of reference (3006,0024) is " + frame_of_reference_ + ", that of the CT " + ct.path +
+         " (0020,0052) " + ct.frame_of_reference + ": expected the same; it was drawn on another scan");
+  }
+  if (!ct.grid.extent().intersects(box()))
+  {
+    std::ostringstream message;
+    message << "it reaches from " << box().min().transpose() << " to " << box().max().transpose() << " mm, the CT "
+            << ct.path << " from " << ct.grid.extent().min().transpose() << " to " << ct.grid.extent().max().transpose()
+            << ": expected a structure within it";
+    fail(message.str());
+  }
+}
+}  // namespace xray_tracking
