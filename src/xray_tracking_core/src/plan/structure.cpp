@@ -41,6 +41,8 @@ constexpr double kNeighbour = 1.5;
 constexpr double kOnePlane = 0.3;
 /// Contours nearer to each other all along are one, drawn twice; what overlaps by less is rounding [mm].
 constexpr double kSame = 0.5;
+/// Of places along the normal [mm].
+constexpr double kRounding = 1e-3;
 
 std::string numbersText(const std::vector<double>& values)
 {
@@ -394,15 +396,17 @@ void Structure::inside(const Eigen::Vector3d& start, const Eigen::Vector3d& step
   std::vector<double> crossings;
   for (const Plane& plane : planes_)
   {
-    // The row's part within the slab.
+    // The row's part within the slab. Where contours are on every second slice a slab ends at voxels' centres: they
+    // belong to the one above, whatever is rounded.
+    const double lower = plane.lower - kRounding, upper = plane.upper - kRounding;
     int begin = 0, end = count;
     if (std::abs(along.z()) * count > 1e-9)
     {
-      const double a = (plane.lower - first.z()) / along.z(), b = (plane.upper - first.z()) / along.z();
+      const double a = (lower - first.z()) / along.z(), b = (upper - first.z()) / along.z();
       begin = indexFrom(std::min(a, b));
       end = indexFrom(std::max(a, b));
     }
-    else if (first.z() < plane.lower || first.z() >= plane.upper)
+    else if (first.z() < lower || first.z() >= upper)
     {
       continue;
     }

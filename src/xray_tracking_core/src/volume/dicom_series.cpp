@@ -553,10 +553,6 @@ Stack chosen(std::vector<Stack> stacks, const std::string& series, const PassedO
                      " CT series or volumes here, expected one, or the setup's ct_series (--series) to choose:" +
                      listOf(candidates, others));
   }
-  if (!candidates.front().fault.empty())
-  {
-    failCt(path, candidates.front().fault);
-  }
   return std::move(candidates.front());
 }
 
@@ -691,6 +687,10 @@ Stack findStack(const std::string& path, const std::string& series)
   }
   Stack stack = chosen(std::move(stacks), series, others, path);
   requireReadable(unreadable, stack, path);
+  if (!stack.fault.empty())
+  {
+    failCt(path, stack.fault);
+  }
   return stack;
 }
 }  // namespace
