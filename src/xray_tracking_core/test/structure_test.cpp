@@ -1,8 +1,10 @@
 #include "xray_tracking_core/plan/structure.h"
 
+#include <algorithm>
 #include <cmath>
+#include <filesystem>
 #include <functional>
-#include <limits>
+#include <random>
 #include <string>
 #include <vector>
 
@@ -327,7 +329,7 @@ TEST_F(StructureTest, Refused)
       [&] {
         Structure::read({ folder_.path("rs.dcm"), "bone" });
       },
-      { "rs.dcm", "not a readable DICOM file" });
+      { "rs.dcm", "not a DICOM file", "expected DICOM RTSTRUCT" });
   expectError<std::runtime_error>(
       [&] {
         Structure::read({ folder_.path("no.dcm"), "bone" });
@@ -358,6 +360,73 @@ TEST_F(StructureTest, NamesOfOtherCharacterSets)
             "Wirbelk\xC3\xB6rper");
   const DicomElements unicode{ { { 8, 0x0005 }, { "CS", "ISO_IR 192" } } };
   read({ { 1, "Wirbelk\xC3\xB6rper", drawn(grid, kBall) } }, "Wirbelk\xC3\xB6rper", unicode);
+}
+
+/// Implicit VR, sequences and items without lengths, contours longer than an explicit DS can be: as planning systems
+/// write them.
+TEST_F(StructureTest, ImplicitVr)
+{
+  const auto number = [](std::size_t value) { return bytesOf({ static_cast<std::uint32_t>(value) }); };
+  const auto element = [&](int group, int tag, std::string value)
+  {
+    value += value.size() % 2 == 0 ? "" : " ";
+    return us(group) + us(tag) + number(value.size()) + value;
+  };
+  const auto item = [&](const std::string& data)
+  { return us(0xFFFE) + us(0xE000) + number(0xFFFFFFFF) + data + us(0xFFFE) + us(0xE00D) + number(0); };
+  const auto sequence = [&](int tag, const std::string& items)
+  { return us(0x3006) + us(tag) + number(0xFFFFFFFF) + items + us(0xFFFE) + us(0xE0DD) + number(0); };
+  constexpr int kPoints = 5000;
+  std::string contours;
+  for (const double z : { 0.0, 2.0 })
+  {
+    std::vector<double> values;
+    for (const Eigen::Vector3d& point : circle(kCentre + z * Eigen::Vector3d::UnitZ(), 20.0, Eigen::Vector3d::UnitX(),
+                                               Eigen::Vector3d::UnitY(), kPoints))
+    {
+      values.insert(values.end(), point.data(), point.data() + 3);
+    }
+    contours += item(element(0x3006, 0x0042, "CLOSED_PLANAR") + element(0x3006, 0x0046, std::to_string(kPoints)) +
+                     element(0x3006, 0x0050, joined(values)));
+  }
+  folder_.write("rs.dcm", std::string(128, '\0') + "DICM" +
+                              dicomData({ { { 2, 0x0010 }, { "UI", "1.2.840.10008.1.2" } } }) +
+                              element(8, 0x0016, "1.2.840.10008.5.1.4.1.1.481.3") + element(8, 0x0060, "RTSTRUCT") +
+                              sequence(0x0020, item(element(0x3006, 0x0022, "1") + element(0x3006, 0x0024, kFrameUid) +
+                                                    element(0x3006, 0x0026, "bone"))) +
+                              sequence(0x0039, item(sequence(0x0040, contours) + element(0x3006, 0x0084, "1"))));
+  const Eigen::AlignedBox3d box = Structure::read({ folder_.path("rs.dcm"), "bone" }).box();
+  EXPECT_LT((box.center() - kCentre - Eigen::Vector3d::UnitZ()).norm(), 1e-3);
+  EXPECT_LT((box.sizes() - Eigen::Vector3d(40, 40, 4)).norm(), 1e-3);
+}
+
+/// Whatever bytes are in it, it is read or refused, and no more memory taken than the file has.
+TEST_F(StructureTest, ChangedBytes)
+{
+  const Eigen::Vector3d x(1, 0, 0), y(0, 1, 0), z(0, 0, 1);
+  const std::string whole = structureSetFile(
+      { { 1, "bone", { { circle(kCentre, 5.0, x, y, 4) }, { circle(kCentre + 2.0 * z, 5.0, x, y, 4) } } } });
+  std::mt19937 random(7);
+  int refused = 0;
+  for (int n = 0; n < 600; ++n)
+  {
+    std::string bytes = whole;
+    for (int changes = n % 3; changes >= 0; --changes)
+    {
+      bytes[132 + random() % (bytes.size() - 132)] = static_cast<char>(random() % 256);
+    }
+    folder_.write("rs.dcm", bytes);
+    try
+    {
+      EXPECT_TRUE(Structure::read({ folder_.path("rs.dcm"), "bone" }).box().sizes().allFinite());
+    }
+    catch (const std::runtime_error& error)
+    {
+      ++refused;
+      EXPECT_NE(std::string(error.what()).find("rs.dcm"), std::string::npos) << error.what();
+    }
+  }
+  EXPECT_GT(refused, 300);
 }
 
 /// A CT in the folder, a structure set beside its slices and a setup.

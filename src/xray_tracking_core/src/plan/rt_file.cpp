@@ -3,6 +3,8 @@
 #include <filesystem>
 #include <stdexcept>
 
+#include "../volume/dicom_extent.h"
+
 namespace xray_tracking
 {
 namespace
@@ -40,15 +42,14 @@ DicomData readRtFile(const std::string& path, const std::string& modality)
     failRt(path, "is " + std::to_string(fs::file_size(path) >> 20) + " MB, expected DICOM " + inWords(modality) +
                      ", of at most " + std::to_string(kMostBytes >> 20) + " MB");
   }
-  const std::optional<DicomHeader> file = readDicomHeader(path);
+  // GDCM would read what it can of another, or end the process.
+  const DicomExtent extent = dicomExtent(path);
+  const std::optional<DicomHeader> file =
+      extent.state == DicomExtent::State::WHOLE ? readDicomHeader(path) : std::nullopt;
   if (!file)
   {
-    failRt(path, "not a readable DICOM file, expected " + inWords(modality));
-  }
-  // GDCM would read what it can of it, or end the process.
-  if (file->extent.state != DicomExtent::State::WHOLE)
-  {
-    failRt(path, file->extent.why + ": expected a whole DICOM file as the standard has it; export it again");
+    failRt(path, (extent.why.empty() ? "not readable as DICOM" : extent.why) + ": expected DICOM " + inWords(modality) +
+                     ", whole and as the standard has it; export it again");
   }
   const std::string found = file->data.text(kModality);
   if (found != modality)

@@ -16,6 +16,8 @@
 #include <gdcmTrace.h>
 #include <itkObject.h>
 
+#include "dicom_extent.h"
+
 namespace xray_tracking
 {
 namespace
@@ -168,14 +170,14 @@ std::optional<DicomHeader> readDicomHeader(const std::string& path)
   if (is_cut && extent.before_pixels)
   {
     const auto nothing = std::make_shared<const gdcm::File>();
-    return DicomHeader{ DicomData(nothing, nothing->GetDataSet()), extent.why, extent };
+    return DicomHeader{ DicomData(nothing, nothing->GetDataSet()), extent.why };
   }
   if (!reader.ReadUpToTag(kPixelData, { kPixelData }))
   {
     return std::nullopt;
   }
   const auto file = std::make_shared<const gdcm::File>(reader.GetFile());
-  return DicomHeader{ DicomData(file, file->GetDataSet()), is_cut ? extent.why : "", extent };
+  return DicomHeader{ DicomData(file, file->GetDataSet()), is_cut ? extent.why : "" };
 }
 
 DicomPixels::DicomPixels(const std::string& path)

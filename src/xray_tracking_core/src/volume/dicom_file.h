@@ -10,8 +10,6 @@
 #include <gdcmDataSet.h>
 #include <gdcmFile.h>
 
-#include "dicom_extent.h"
-
 namespace xray_tracking
 {
 /// GDCM and ITK write pages to stderr about files that they nevertheless read; what matters is found here and thrown.
@@ -43,7 +41,6 @@ struct DicomHeader
 {
   DicomData data;     ///< none if the file ends within its header
   std::string fault;  ///< if the file ends before it says; the pixels' reader tells of others
-  DicomExtent extent;
 };
 
 /// Nothing if it is no DICOM file.
