@@ -12,6 +12,8 @@
 
 namespace xray_tracking
 {
+struct DrawnContour;
+
 /// A structure of a DICOM RT structure set: closed contours on parallel planes, in any orientation.
 ///
 /// On a plane a point is inside if it lies in an odd number of contours (XOR: holes; keyholes, too). A plane's contours
@@ -51,16 +53,10 @@ private:
     double lower, upper;  ///< the slab's ends
     std::vector<std::vector<Eigen::Vector2d>> contours;
   };
-  /// Contours as they are read.
-  struct Drawn
-  {
-    int number;  ///< from 1
-    std::vector<Eigen::Vector3d> points;
-  };
 
   [[noreturn]] void fail(const std::string& what) const;
-  void setAxes(const std::vector<Drawn>& contours);
-  void setPlanes(const std::vector<Drawn>& contours, double slab_thickness);
+  void setAxes(const std::vector<DrawnContour>& contours);
+  void setPlanes(const std::vector<DrawnContour>& contours, double slab_thickness);
   void requireApart(const Plane& plane) const;
   /// What of a row of voxels, `start + n step`, n = 0 to count - 1, is inside: pairs of first n and n behind the last.
   void inside(const Eigen::Vector3d& start, const Eigen::Vector3d& step, int count,
