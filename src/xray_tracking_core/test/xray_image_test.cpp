@@ -187,6 +187,8 @@ TEST(XrayImage, RejectsOthers)
   const std::string dicom = dicomImage(ramp(CV_16UC1));
   folder.write("cut.dcm", dicom.substr(0, dicom.size() - 10));
   expectRejected("cut.dcm", { "cut.dcm", "truncated" });
+  folder.write("cut.dcm", dicom.substr(0, 250));  // within its header
+  expectRejected("cut.dcm", { "cut.dcm", "truncated" });
   cv::Mat negative = ramp(CV_16SC1);
   negative.at<std::int16_t>(2, 2) = -7;
   folder.write("negative.dcm", dicomImage(negative));

@@ -1,6 +1,7 @@
 """What the node's tests share: exposures of the phantom, and requests about them."""
 import gzip
 import os
+import struct
 import threading
 import time
 import unittest
@@ -173,3 +174,53 @@ def small_volume(folder):
     hu[(np.abs(index[..., 1] - 10.0) < 9.0) & (np.abs(index[..., 2]) < 11.0)] = 700
     write_volume(path, hu)
     return path
+
+
+def element(group, tag, vr, value):
+    """Of a DICOM data set, explicit VR."""
+    value = value.encode() if isinstance(value, str) else value
+    value += (b"\0" if vr == "UI" else b" ") * (len(value) % 2)
+    length = b"\0\0" + struct.pack("<I", len(value)) if vr in ("SQ", "OW") else struct.pack("<H", len(value))
+    return struct.pack("<HH", group, tag) + vr.encode() + length + value
+
+
+def item(data):
+    return struct.pack("<HHI", 0xFFFE, 0xE000, len(data)) + data
+
+
+def write_dicom(path, sop_class, modality, data):
+    with open(path, "wb") as file:
+        file.write(b"\0" * 128 + b"DICM" + element(2, 0x10, "UI", "1.2.840.10008.1.2.1") +
+                   element(8, 0x16, "UI", sop_class) + element(8, 0x18, "UI", "1.2.3.4") +
+                   element(8, 0x60, "CS", modality) + data)
+
+
+def write_dicom_ct(folder, values, frame_of_reference):
+    """Values (z, y, x) as a series, voxels of 4 mm about the origin."""
+    os.makedirs(folder, exist_ok=True)
+    first = [-2.0 * (size - 1) for size in values.shape]  # z, y, x
+    for k, plane in enumerate(values):
+        numbers = [(0x02, 1), (0x10, plane.shape[0]), (0x11, plane.shape[1]), (0x100, 16), (0x101, 16), (0x102, 15),
+                   (0x103, 1)]
+        image = {tag: element(0x28, tag, "US", struct.pack("<H", number)) for tag, number in numbers}
+        image[0x04] = element(0x28, 0x04, "CS", "MONOCHROME2")
+        image[0x30] = element(0x28, 0x30, "DS", "4\\4")
+        write_dicom(os.path.join(folder, f"{k}.dcm"), "1.2.840.10008.5.1.4.1.1.2", "CT",
+                    element(0x20, 0x0E, "UI", "1.2.3.5") +
+                    element(0x20, 0x32, "DS", f"{first[2]}\\{first[1]}\\{first[0] + 4.0 * k}") +
+                    element(0x20, 0x37, "DS", "1\\0\\0\\0\\1\\0") + element(0x20, 0x52, "UI", frame_of_reference) +
+                    b"".join(image[tag] for tag in sorted(image)) +
+                    element(0x7FE0, 0x10, "OW", plane.astype("<i2").tobytes()))
+
+
+def write_structure_set(path, roi, contours, frame_of_reference):
+    """@param contours of the one structure: lists of points (x, y, z) [mm]"""
+    drawn = b"".join(item(element(0x3006, 0x42, "CS", "CLOSED_PLANAR") +
+                          element(0x3006, 0x50, "DS", "\\".join(str(value) for point in points for value in point)))
+                     for points in contours)
+    write_dicom(path, "1.2.840.10008.5.1.4.1.1.481.3", "RTSTRUCT",
+                element(0x3006, 0x20, "SQ", item(element(0x3006, 0x22, "IS", "1") +
+                                                 element(0x3006, 0x24, "UI", frame_of_reference) +
+                                                 element(0x3006, 0x26, "LO", roi))) +
+                element(0x3006, 0x39, "SQ", item(element(0x3006, 0x40, "SQ", drawn) +
+                                                 element(0x3006, 0x84, "IS", "1"))))

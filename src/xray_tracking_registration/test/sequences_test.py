@@ -14,7 +14,8 @@ import rostest
 
 sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
 from registration_test_case import (DETECTORS, EXPOSURES, RegistrationTestCase, Sender, TIMEOUT,  # noqa: E402
-                                    not_a_volume, read_volume, shifted, small_volume, write_volume)
+                                    not_a_volume, read_volume, shifted, small_volume, write_dicom_ct,
+                                    write_structure_set, write_volume)
 from xray_tracking_msgs.msg import RefinedPose, RefinementRequest, RefinementResult  # noqa: E402
 from xray_tracking_msgs.srv import LoadVolume, RefinePose  # noqa: E402
 
@@ -171,6 +172,43 @@ class SequencesTest(RegistrationTestCase):
             finally:
                 process.send_signal(signal.SIGINT)
                 self.assertEqual(process.wait(20.0), 0)
+
+    def test_mask_from_the_structure(self):
+        """The target of the setup, a box of 16 x 8 x 40 mm on ten slices of a DICOM CT."""
+        with tempfile.TemporaryDirectory() as folder:
+            ct = os.path.join(folder, "ct")
+            values = read_volume(small_volume(folder))
+            write_dicom_ct(ct, values, "1.2.3.9")
+            write_dicom_ct(os.path.join(folder, "other"), values, "1.2.3.10")
+            contours = [[(-8, -4, z), (8, -4, z), (8, 4, z), (-8, 4, z)] for z in range(-18, 19, 4)]
+            write_structure_set(os.path.join(folder, "rs.dcm"), "bone", contours, "1.2.3.9")
+            detectors = os.path.join(os.path.dirname(rospy.get_param("/setup_file")), "geometry", "cyberknife.yaml")
+            setup = os.path.join(folder, "setup.yaml")
+            with open(setup, "w") as file:
+                file.write(f"ct: ct\ntarget: {{rtstruct: rs.dcm, roi: bone}}\ndetectors: {detectors}\n"
+                           "initial_pose: {translation_mm: [0, 0, 0], rotation_xyzw: [0, 0, 0, 1]}\n")
+            mask = {"from": "roi", "file": os.path.join(folder, "mask.nrrd"), "inner_mm": 2.0, "outer_mm": 6.0}
+            node = roslib.packages.find_node("xray_tracking_registration", "registration_node")[0]
+            for name, setup_file in (("untargeted", rospy.get_param("/setup_file")), ("roi", setup)):
+                rospy.set_param(f"/{name}/registration", {"setup_file": setup_file, "source": "ct", "mask": mask})
+                process = subprocess.Popen([node, f"__ns:=/{name}"])
+                try:
+                    load = rospy.ServiceProxy(f"/{name}/registration/load_volume", LoadVolume)
+                    load.wait_for_service(TIMEOUT)
+                    if name == "untargeted":
+                        self.wait_for(lambda: "mask/from is roi" in load(ct).message, "no target")
+                        continue
+                    self.wait_for(lambda: load(ct).success, "the CT")
+                    weights = read_volume(mask["file"])
+                    # Voxels' centres lie at 2, 6, 10 ... mm to either side; z, y, x as in test_mask_from_a_label_map.
+                    self.assertEqual(np.count_nonzero(weights == 1000), 10 * 2 * 4)
+                    self.assertEqual(weights.shape, (10 + 4, 2 + 4, 4 + 4))
+                    message = load(os.path.join(folder, "other")).message
+                    self.assertIn("1.2.3.9", message)
+                    self.assertIn("1.2.3.10", message)
+                finally:
+                    process.send_signal(signal.SIGINT)
+                    self.assertEqual(process.wait(20.0), 0)
 
     def test_shutdown_in_the_middle(self):
         rospy.set_param("/stopping/registration/setup_file", rospy.get_param("/setup_file"))

@@ -345,6 +345,10 @@ Sequence loadSequence(const std::string& directory)
   {
     sequence.tables.push_back((folder / frames.text()).string());
   }
+  if (sequence.setup.target_structure)
+  {
+    sequence.tables.push_back(sequence.setup.target_structure->file);
+  }
   sequence.exposures = pairExposures(sequence.setup, loadFrameTable(directory), tolerance_ns);
   const std::string gold_standard = goldStandardPath(directory);
   if (!gold_standard.empty())

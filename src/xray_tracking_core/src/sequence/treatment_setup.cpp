@@ -7,12 +7,15 @@
 #include <sstream>
 #include <stdexcept>
 
+#include "xray_tracking_core/plan/structure.h"
 #include "yaml_field.h"
 
 namespace xray_tracking
 {
 namespace
 {
+const Eigen::IOFormat kListFormat(Eigen::StreamPrecision, Eigen::DontAlignCols, ", ");
+
 std::string resolvePath(const std::string& path, const std::string& file)
 {
   return (std::filesystem::absolute(file).parent_path() / path).lexically_normal().string();
@@ -113,6 +116,26 @@ Eigen::AlignedBox3d readBox(const YamlField& field)
   return { min, max };
 }
 
+/// The box of the structure that `target` names, which must have been drawn on the CT.
+Eigen::AlignedBox3d readTarget(const YamlField& field, const std::string& path, TreatmentSetup& setup)
+{
+  setup.target_structure = { resolvePath(field.get("rtstruct").text(), path), field.get("roi").text() };
+  if (setup.ct_path.empty())
+  {
+    field.fail("ct as well: the DICOM series that the structure was drawn on");
+  }
+  try
+  {
+    const Structure structure = Structure::read(*setup.target_structure);
+    structure.requireOn(readCtFrame(setup.ct_path, setup.ct_choice.series));
+    return structure.box();
+  }
+  catch (const std::runtime_error& error)
+  {
+    throw std::runtime_error(field.where() + ": " + error.what());
+  }
+}
+
 cv::Rect readRegion(const YamlField& field, const Eigen::Vector2i& image_size)
 {
   const cv::Rect region(field.get("x_offset").number<int>(), field.get("y_offset").number<int>(),
@@ -143,6 +166,14 @@ YAML::Node nodeOf(const ProjectionGeometry& detector)
   node["origin_mm"] = listOf(detector.origin());
   node["x_direction"] = listOf(detector.xDirection());
   node["y_direction"] = listOf(detector.yDirection());
+  return node;
+}
+
+YAML::Node nodeOf(const Eigen::AlignedBox3d& box)
+{
+  YAML::Node node;
+  node["min"] = listOf(box.min());
+  node["max"] = listOf(box.max());
   return node;
 }
 
@@ -217,7 +248,24 @@ TreatmentSetup readTreatmentSetup(const YamlField& root, const std::string& path
   setup.detectors =
       detectors.isScalar() ? loadDetectors(resolvePath(detectors.text(), path)) : readDetectors(detectors);
   setup.room_from_patient = readPose(root.get("initial_pose"));
-  setup.target_box = readBox(root.get("target_box_mm"));
+  const auto target = root.find("target");
+  setup.target_box = target ? readTarget(*target, path, setup) : readBox(root.get("target_box_mm"));
+  if (const auto box = root.find("target_box_mm"); box && target)
+  {
+    // Files are written with a few digits.
+    constexpr double kSameBox = 0.01;  // [mm]
+    const Eigen::AlignedBox3d other = readBox(*box);
+    if ((other.min() - setup.target_box.min()).cwiseAbs().maxCoeff() > kSameBox ||
+        (other.max() - setup.target_box.max()).cwiseAbs().maxCoeff() > kSameBox)
+    {
+      std::ostringstream message;
+      message << "target (" << setup.target_structure->roi
+              << ") or target_box_mm alone, or both the same: target's is min ["
+              << setup.target_box.min().transpose().format(kListFormat) << "], max ["
+              << setup.target_box.max().transpose().format(kListFormat) << "]";
+      box->fail(message.str());
+    }
+  }
   if (const auto regions = root.find("regions"))
   {
     regions->forEachEntry(
@@ -250,7 +298,7 @@ TreatmentSetup treatmentSetupFromText(const std::string& text, const std::string
 
 std::string selfContainedSetup(const std::string& path)
 {
-  loadTreatmentSetup(path);
+  const TreatmentSetup setup = loadTreatmentSetup(path);
   YAML::Node root = YAML::LoadFile(path);
   if (const YAML::Node ct = root["ct"]; ct && !ct.IsNull())
   {
@@ -259,6 +307,11 @@ std::string selfContainedSetup(const std::string& path)
   if (const YAML::Node detectors = root["detectors"]; detectors.IsScalar())
   {
     root["detectors"] = YAML::LoadFile(resolvePath(detectors.Scalar(), path))["detectors"];
+  }
+  if (setup.target_structure)
+  {
+    root.remove("target");
+    root["target_box_mm"] = nodeOf(setup.target_box);
   }
   root.SetStyle(YAML::EmitterStyle::Block);
   root.remove("frames");
@@ -301,8 +354,12 @@ void saveTreatmentSetup(const TreatmentSetup& setup, const std::string& path)
   const Eigen::Quaterniond rotation(setup.room_from_patient.linear());
   root["initial_pose"]["translation_mm"] = listOf(Eigen::Vector3d(setup.room_from_patient.translation()));
   root["initial_pose"]["rotation_xyzw"] = listOf(rotation.coeffs());
-  root["target_box_mm"]["min"] = listOf(setup.target_box.min());
-  root["target_box_mm"]["max"] = listOf(setup.target_box.max());
+  root["target_box_mm"] = nodeOf(setup.target_box);
+  if (setup.target_structure)
+  {
+    root["target"]["rtstruct"] = setup.target_structure->file;
+    root["target"]["roi"] = setup.target_structure->roi;
+  }
   for (const auto& [name, region] : setup.regions)
   {
     root["regions"][name] = nodeOf(region);

@@ -155,7 +155,8 @@ cv::Mat readXrayImage(const std::string& path, const ProjectionGeometry& detecto
       floating = values.depth() >= CV_32F;
       break;
     case Format::OTHER:
-      if (const auto header = readDicomHeader(path); !header || !header->data.has({ 0x0028, 0x0010 }))
+      if (const auto header = readDicomHeader(path);
+          !header || (header->fault.empty() && !header->data.has({ 0x0028, 0x0010 })))
       {
         fail(path, "expected a PNG, TIFF or DICOM image");
       }

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cstring>
-#include <filesystem>
 #include <locale>
 #include <sstream>
 #include <stdexcept>
@@ -16,6 +15,8 @@
 #include <gdcmSequenceOfItems.h>
 #include <gdcmTrace.h>
 #include <itkObject.h>
+
+#include "dicom_extent.h"
 
 namespace xray_tracking
 {
@@ -40,12 +41,6 @@ const gdcm::Tag kPixelRepresentation(0x0028, 0x0103);
 bool isPlain(const gdcm::File& file)
 {
   return !file.GetHeader().GetDataSetTransferSyntax().IsEncapsulated();
-}
-
-/// Deflated as a whole: places in the file tell nothing of the pixels.
-bool isDeflated(const gdcm::File& file)
-{
-  return file.GetHeader().GetDataSetTransferSyntax() == gdcm::TransferSyntax::DeflatedExplicitVRLittleEndian;
 }
 
 /// Implicit VR: as the dictionary has it.
@@ -166,27 +161,23 @@ std::optional<DicomHeader> readDicomHeader(const std::string& path)
   silenceImageLibraries();
   gdcm::Reader reader;
   reader.SetFileName(path.c_str());
-  if (!reader.CanRead() || !reader.ReadUpToTag(kPixelData, { kPixelData }))
+  if (!reader.CanRead())
   {
     return std::nullopt;
   }
-  const std::size_t start = reader.GetStreamCurrentPosition();
-  const auto file = std::make_shared<const gdcm::File>(reader.GetFile());
-  DicomHeader header{ DicomData(file, file->GetDataSet()), "" };
-  const DicomData& data = header.data;
-  if (start != static_cast<std::size_t>(-1) && isPlain(*file) && !isDeflated(*file) && data.has(kRows))
+  const DicomExtent extent = dicomExtent(path);
+  const bool is_cut = extent.state == DicomExtent::State::CUT;
+  if (is_cut && extent.before_pixels)
   {
-    const auto factor = [&](const gdcm::Tag& tag, int otherwise)
-    { return static_cast<std::uintmax_t>(std::max(0, wholeOr(data, tag, otherwise))); };
-    const std::uintmax_t bits = factor(kColumns, 0) * factor(kRows, 0) * factor(kSamplesPerPixel, 1) *
-                                std::max<std::uintmax_t>(1, factor(kFrames, 1)) * factor(kBitsAllocated, 16);
-    const std::uintmax_t size = std::filesystem::file_size(path);
-    if (size < start + bits / 8)
-    {
-      header.fault = "truncated: " + std::to_string(size) + " bytes, expected " + std::to_string(start + bits / 8);
-    }
+    const auto nothing = std::make_shared<const gdcm::File>();
+    return DicomHeader{ DicomData(nothing, nothing->GetDataSet()), extent.why };
   }
-  return header;
+  if (!reader.ReadUpToTag(kPixelData, { kPixelData }))
+  {
+    return std::nullopt;
+  }
+  const auto file = std::make_shared<const gdcm::File>(reader.GetFile());
+  return DicomHeader{ DicomData(file, file->GetDataSet()), is_cut ? extent.why : "" };
 }
 
 DicomPixels::DicomPixels(const std::string& path)

@@ -39,8 +39,8 @@ private:
 /// A DICOM file without its pixels.
 struct DicomHeader
 {
-  DicomData data;
-  std::string fault;  ///< if the pixels are fewer than it says, of which GDCM only warns; the decoder tells of others
+  DicomData data;     ///< none if the file ends within its header
+  std::string fault;  ///< if the file ends before it says; the pixels' reader tells of others
 };
 
 /// Nothing if it is no DICOM file.

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <filesystem>
 #include <map>
+#include <memory>
 #include <optional>
 #include <set>
 #include <sstream>
@@ -13,6 +14,7 @@
 
 #include "ct_error.h"
 #include "dicom_file.h"
+#include "xray_tracking_core/volume/ct_frame.h"
 
 namespace xray_tracking
 {
@@ -28,6 +30,7 @@ const gdcm::Tag kCtFrameType(0x0018, 0x9329);
 const gdcm::Tag kSeriesUid(0x0020, 0x000e);
 const gdcm::Tag kPosition(0x0020, 0x0032);
 const gdcm::Tag kOrientation(0x0020, 0x0037);
+const gdcm::Tag kFrameOfReference(0x0020, 0x0052);
 const gdcm::Tag kFrameContent(0x0020, 0x9111);
 const gdcm::Tag kPlanePosition(0x0020, 0x9113);
 const gdcm::Tag kPlaneOrientation(0x0020, 0x9116);
@@ -89,6 +92,7 @@ struct Slice
   Eigen::Vector3i decimals;     ///< that the position is written with
   double slope = 1.0, intercept = 0.0;
   std::string description;
+  std::string frame_of_reference;
   std::vector<std::string> traits;  ///< in the order of kTraits; the last one is the orientation in words
 };
 
@@ -269,6 +273,7 @@ Slice readSlice(const FrameData& data, const std::string& file, int frame)
   }
   readRescale(data, slice);
   slice.description = data.text(kSeriesDescription);
+  slice.frame_of_reference = data.text(kFrameOfReference);
   for (const auto& [name, tag] : kTraits)
   {
     slice.traits.push_back(data.text(tag));
@@ -548,10 +553,6 @@ Stack chosen(std::vector<Stack> stacks, const std::string& series, const PassedO
                      " CT series or volumes here, expected one, or the setup's ct_series (--series) to choose:" +
                      listOf(candidates, others));
   }
-  if (!candidates.front().fault.empty())
-  {
-    failCt(path, candidates.front().fault);
-  }
   return std::move(candidates.front());
 }
 
@@ -601,7 +602,7 @@ StoredVolume readPixels(const Stack& stack)
   StoredVolume stored;
   stored.volume.grid = stack.grid;
   stored.volume.hu.reserve(stack.grid.voxelCount());
-  std::optional<DicomPixels> pixels;
+  std::unique_ptr<DicomPixels> pixels;
   std::string open;
   std::vector<std::int32_t> values;
   std::vector<float> scaled(static_cast<std::size_t>(stack.grid.size.x()) * stack.grid.size.y());
@@ -612,7 +613,7 @@ StoredVolume readPixels(const Stack& stack)
       if (open != slice.file)
       {
         pixels.reset();
-        pixels.emplace(slice.file);
+        pixels = std::make_unique<DicomPixels>(slice.file);
         open = slice.file;
       }
     }
@@ -639,9 +640,9 @@ StoredVolume readPixels(const Stack& stack)
   }
   return stored;
 }
-}  // namespace
 
-StoredVolume readDicomCt(const std::string& path, const std::string& series)
+/// The volume to be read, by the headers of all files.
+Stack findStack(const std::string& path, const std::string& series)
 {
   namespace fs = std::filesystem;
   std::vector<fs::path> files{ path };
@@ -684,8 +685,49 @@ StoredVolume readDicomCt(const std::string& path, const std::string& series)
       stacks.push_back(std::move(stack));
     }
   }
-  const Stack stack = chosen(std::move(stacks), series, others, path);
+  Stack stack = chosen(std::move(stacks), series, others, path);
   requireReadable(unreadable, stack, path);
-  return readPixels(stack);
+  if (!stack.fault.empty())
+  {
+    failCt(path, stack.fault);
+  }
+  return stack;
+}
+}  // namespace
+
+StoredVolume readDicomCt(const std::string& path, const std::string& series)
+{
+  return readPixels(findStack(path, series));
+}
+
+CtFrame readCtFrame(const std::string& path, const std::string& series)
+{
+  namespace fs = std::filesystem;
+  try
+  {
+    if (!fs::is_directory(path) && (!fs::is_regular_file(path) || !readDicomHeader(path)))
+    {
+      failCt(path, fs::exists(path) ? "no DICOM, so that its frame of reference is unknown; expected the DICOM series "
+                                      "that the plan's structures were drawn on, or target_box_mm instead of target"
+                                    : "no such file or folder");
+    }
+    const Stack stack = findStack(path, series);
+    CtFrame frame{ path, stack.grid, stack.slices.front().frame_of_reference };
+    for (const Slice& slice : stack.slices)
+    {
+      if (slice.frame_of_reference.empty() || slice.frame_of_reference != frame.frame_of_reference)
+      {
+        failCt(path, nameOf(slice) + ": FrameOfReferenceUID (0020,0052) is " +
+                         (slice.frame_of_reference.empty() ? "absent" : slice.frame_of_reference) + ", expected " +
+                         (frame.frame_of_reference.empty() ? "one" : frame.frame_of_reference) +
+                         ", the same of all slices");
+      }
+    }
+    return frame;
+  }
+  catch (const fs::filesystem_error& error)
+  {
+    failCt(path, "cannot be read: " + error.code().message());
+  }
 }
 }  // namespace xray_tracking

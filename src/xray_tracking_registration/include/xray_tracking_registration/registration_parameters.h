@@ -15,7 +15,7 @@ struct RegistrationParameters
   std::string setup_file;
   std::string source = "phantom";  ///< or "ct"
   int bodies = 2;
-  std::string mask = "bone";  ///< or "labels" or "box"
+  std::string mask = "bone";  ///< or "labels", "box" or "roi"
   TargetMaskOptions mask_options;
   std::string label_map;  ///< its path, for "labels"
   int label = 1;

@@ -39,8 +39,9 @@ RegistrationParameters readRegistrationParameters(const ros::NodeHandle& pnh)
   read(reader, "bodies", parameters.bodies);
   requireOption(parameters.bodies == 1 || parameters.bodies == 2, "bodies", parameters.bodies, "1 or 2");
   read(reader, "mask/from", parameters.mask);
-  requireOption(parameters.mask == "bone" || parameters.mask == "labels" || parameters.mask == "box", "mask/from",
-                parameters.mask, "bone, labels or box");
+  requireOption(
+      parameters.mask == "bone" || parameters.mask == "labels" || parameters.mask == "box" || parameters.mask == "roi",
+      "mask/from", parameters.mask, "bone, labels, box or roi");
   read(reader, "mask/threshold_hu", parameters.mask_options.threshold_hu);
   read(reader, "mask/closing_mm", parameters.mask_options.closing_mm);
   read(reader, "mask/inner_mm", parameters.mask_options.inner_mm);

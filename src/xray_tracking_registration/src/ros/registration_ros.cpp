@@ -10,6 +10,7 @@
 #include "processor_clock.h"
 #include "xray_tracking_conversions/conversions.h"
 #include "xray_tracking_core/image/attenuation.h"
+#include "xray_tracking_core/plan/structure.h"
 #include "xray_tracking_core/volume/neck_phantom.h"
 #include "xray_tracking_registration/refinement_messages.h"
 
@@ -21,6 +22,18 @@ namespace
 constexpr std::uint32_t kThreads = 4;
 /// Slices as thin as the pixels.
 const PhantomCtOptions kPhantomCt{ { 200, 200, 200 }, { 1.0, 1.0, 1.0 }, 1.0 };
+
+/// The setup's target structure on the CT's grid, 1 inside.
+CtVolume roiLabels(const TreatmentSetup& setup, const std::string& ct_path, const VolumeGrid& grid)
+{
+  if (!setup.target_structure || ct_path.empty())
+  {
+    throw std::invalid_argument("mask/from is roi, expected source: ct and a setup file with target: {rtstruct, roi}");
+  }
+  const Structure structure = Structure::read(*setup.target_structure);
+  structure.requireOn(readCtFrame(ct_path, setup.ct_choice.series));
+  return structure.labels(grid);
+}
 }  // namespace
 
 RegistrationRos::RegistrationRos(const ros::NodeHandle& nh, const ros::NodeHandle& pnh)
@@ -161,9 +174,10 @@ std::shared_ptr<const Registration> RegistrationRos::makeRegistration(const std:
   if (parameters_.bodies == 2)
   {
     const TargetMaskOptions& options = parameters_.mask_options;
-    mask = parameters_.mask == "bone" ? targetMaskOf(ct, setup_.target_box, options)
-           : parameters_.mask == "box"
-               ? targetMaskFromBox(grid, setup_.target_box, options)
+    mask = parameters_.mask == "bone"  ? targetMaskOf(ct, setup_.target_box, options)
+           : parameters_.mask == "box" ? targetMaskFromBox(grid, setup_.target_box, options)
+           : parameters_.mask == "roi"
+               ? targetMaskFromLabels(grid, roiLabels(setup_, ct_path, grid), 1, options)
                : targetMaskFromLabels(grid, readLabelMap(parameters_.label_map, setup_.ct_choice), parameters_.label,
                                       options);
     if (!parameters_.mask_file.empty())

@@ -10,6 +10,7 @@
 
 #include "xray_tracking_core/geometry/projection_geometry.h"
 #include "xray_tracking_core/geometry/rigid_transform.h"
+#include "xray_tracking_core/plan/structure_choice.h"
 #include "xray_tracking_core/volume/ct_content.h"
 
 namespace xray_tracking
@@ -38,6 +39,7 @@ struct TreatmentSetup
   std::vector<ProjectionGeometry> detectors;                      ///< two or more, names unique
   RigidTransform room_from_patient = RigidTransform::Identity();  ///< `initial_pose`
   Eigen::AlignedBox3d target_box;                                 ///< patient frame [mm]
+  std::optional<StructureChoice> target_structure;                ///< `target`, which the box is of, where it is named
   std::map<std::string, cv::Rect> regions;  ///< ROI [px] in the first exposure by detector; may lack any
 
   /// @throws std::invalid_argument naming the detector and those there are
@@ -48,11 +50,12 @@ struct TreatmentSetup
 /// Reads the `detectors` list of a YAML file. @throws std::runtime_error naming file, key, value and what was expected
 std::vector<ProjectionGeometry> loadDetectors(const std::string& path);
 
-/// Reads a setup file: `detectors` (a list, or the path of a YAML file that has one), `initial_pose`, `target_box_mm`,
-/// and optionally `ct`, `ct_content` (recognised, full, bone_in_air or labels), `ct_series` and `ct_nifti_form` (qform
-/// or sform) where CtChoice is needed, `intensity`, `regions`; relative paths start at the file. Keys that it does not
-/// use are left alone. Regions must lie inside their detector's image, air_counts above offset, the box's min below its
-/// max.
+/// Reads a setup file: `detectors` (a list, or the path of a YAML file that has one), `initial_pose`, `target_box_mm`
+/// or `target` (`rtstruct`, the path of a DICOM RT structure set, and `roi`, the name of its structure whose box it is;
+/// drawn on `ct`, a DICOM series), and optionally `ct`, `ct_content` (recognised, full, bone_in_air or labels),
+/// `ct_series` and `ct_nifti_form` (qform or sform) where CtChoice is needed, `intensity`, `regions`; relative paths
+/// start at the file. Keys that it does not use are left alone. Regions must lie inside their detector's image,
+/// air_counts above offset, the box's min below its max, and equal to that of `target` where there are both.
 /// @throws std::runtime_error naming file, key, value and what was expected
 TreatmentSetup loadTreatmentSetup(const std::string& path);
 
@@ -60,8 +63,9 @@ TreatmentSetup loadTreatmentSetup(const std::string& path);
 TreatmentSetup treatmentSetupFromText(const std::string& text, const std::string& name);
 
 /// A setup file's text that says the same wherever it stands, for treatmentSetupFromText(): the CT's path is absolute,
-/// the detectors' are in it. Numbers stand there digit by digit as in the file. A block of keys, one a line, without
-/// the tables that it may name, and without `distortion`: what a graph takes and a bag holds is undistorted.
+/// the detectors' are in it, and the box in the place of `target`. Numbers stand there digit by digit as in the file. A
+/// block of keys, one a line, without the tables that it may name, and without `distortion`: what a graph takes and a
+/// bag holds is undistorted.
 /// @throws std::runtime_error as loadTreatmentSetup()
 std::string selfContainedSetup(const std::string& path);
 
