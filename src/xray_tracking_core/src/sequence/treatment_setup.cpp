@@ -7,6 +7,7 @@
 #include <sstream>
 #include <stdexcept>
 
+#include "detector_node.h"
 #include "yaml_field.h"
 
 namespace xray_tracking
@@ -133,7 +134,18 @@ std::vector<typename Vector::Scalar> listOf(const Vector& vector)
   return { vector.data(), vector.data() + vector.size() };
 }
 
-YAML::Node nodeOf(const ProjectionGeometry& detector)
+YAML::Node nodeOf(const cv::Rect& region)
+{
+  YAML::Node node;
+  node["x_offset"] = region.x;
+  node["y_offset"] = region.y;
+  node["width"] = region.width;
+  node["height"] = region.height;
+  return node;
+}
+}  // namespace
+
+YAML::Node detectorNode(const ProjectionGeometry& detector)
 {
   YAML::Node node;
   node["name"] = detector.name();
@@ -145,17 +157,6 @@ YAML::Node nodeOf(const ProjectionGeometry& detector)
   node["y_direction"] = listOf(detector.yDirection());
   return node;
 }
-
-YAML::Node nodeOf(const cv::Rect& region)
-{
-  YAML::Node node;
-  node["x_offset"] = region.x;
-  node["y_offset"] = region.y;
-  node["width"] = region.width;
-  node["height"] = region.height;
-  return node;
-}
-}  // namespace
 
 const ProjectionGeometry& TreatmentSetup::detector(const std::string& name) const
 {
@@ -292,7 +293,7 @@ void saveTreatmentSetup(const TreatmentSetup& setup, const std::string& path)
   }
   for (const ProjectionGeometry& detector : setup.detectors)
   {
-    root["detectors"].push_back(nodeOf(detector));
+    root["detectors"].push_back(detectorNode(detector));
   }
   const Eigen::Quaterniond rotation(setup.room_from_patient.linear());
   root["initial_pose"]["translation_mm"] = listOf(Eigen::Vector3d(setup.room_from_patient.translation()));

@@ -1,0 +1,838 @@
+#include <cmath>
+#include <iomanip>
+#include <random>
+
+#include <gtest/gtest.h>
+
+#include <Eigen/Dense>
+
+#include "dicom_samples.h"
+#include "shared_data.h"
+#include "test_helpers.h"
+#include "xray_tracking_core/geometry/geometry_import.h"
+#include "xray_tracking_core/sequence/treatment_setup.h"
+
+namespace xray_tracking
+{
+namespace
+{
+constexpr double kPi = 3.14159265358979323846;
+constexpr double kExact = 1e-6;  // px
+
+using Matrix34 = Eigen::Matrix<double, 3, 4>;
+
+/// Elementary rotations by their entries: Eigen's AngleAxis is what the import uses.
+Eigen::Matrix3d rotationX(double degrees)
+{
+  const double c = std::cos(degrees * kPi / 180.0), s = std::sin(degrees * kPi / 180.0);
+  return (Eigen::Matrix3d() << 1, 0, 0, 0, c, -s, 0, s, c).finished();
+}
+
+Eigen::Matrix3d rotationY(double degrees)
+{
+  const double c = std::cos(degrees * kPi / 180.0), s = std::sin(degrees * kPi / 180.0);
+  return (Eigen::Matrix3d() << c, 0, s, 0, 1, 0, -s, 0, c).finished();
+}
+
+Eigen::Matrix3d rotationZ(double degrees)
+{
+  const double c = std::cos(degrees * kPi / 180.0), s = std::sin(degrees * kPi / 180.0);
+  return (Eigen::Matrix3d() << c, -s, 0, s, c, 0, 0, 0, 1).finished();
+}
+
+/// Points around the middle of the room [mm].
+std::vector<Eigen::Vector3d> points()
+{
+  std::mt19937 random(7);
+  std::uniform_real_distribution<double> coordinate(-80.0, 80.0);
+  std::vector<Eigen::Vector3d> points(30);
+  for (Eigen::Vector3d& point : points)
+  {
+    point = { coordinate(random), coordinate(random), coordinate(random) };
+  }
+  return points;
+}
+
+/// Pixels of a projection matrix, as it is defined.
+Eigen::Vector2d pixelOf(const Matrix34& matrix, const Eigen::Vector3d& point)
+{
+  const Eigen::Vector4d p(point.x(), point.y(), point.z(), 1.0);
+  return { matrix.row(0).dot(p) / matrix.row(2).dot(p), matrix.row(1).dot(p) / matrix.row(2).dot(p) };
+}
+
+template <typename Project>
+void expectSame(const ProjectionGeometry& detector, Project project, double tolerance = kExact)
+{
+  for (const Eigen::Vector3d& point : points())
+  {
+    const Eigen::Vector2d expected = project(point);
+    const Eigen::Vector2d found = detector.project(point);
+    EXPECT_NEAR(expected.x(), found.x(), tolerance) << detector.name();
+    EXPECT_NEAR(expected.y(), found.y(), tolerance) << detector.name();
+  }
+}
+
+/// Cameras that look at the middle of the room from `degrees` about y, tilted; fx != fy, rectangular, off centre.
+struct TestCamera
+{
+  Eigen::Vector2i size{ 800, 600 };
+  Eigen::Matrix3d camera;
+  Eigen::Matrix3d rotation;
+  Eigen::Vector3d translation{ 12.5, -7.25, 1100.0 };
+
+  explicit TestCamera(double degrees, double skew = 0.0)
+  {
+    camera << 4210.5, skew, 365.25, 0.0, 4198.25, 331.75, 0.0, 0.0, 1.0;
+    rotation = rotationX(8.0) * rotationY(degrees) * rotationZ(-5.0);
+  }
+
+  Matrix34 matrix() const
+  {
+    Matrix34 extrinsics;
+    extrinsics << rotation, translation;
+    return camera * extrinsics;
+  }
+
+  std::string mayaCam() const
+  {
+    std::ostringstream text;
+    const Eigen::IOFormat rows(17, Eigen::DontAlignCols, ",", "\n");
+    text << std::setprecision(17) << "image size\n"
+         << size.x() << "," << size.y() << "\n\ncamera matrix\n"
+         << camera.format(rows) << "\n\nrotation\n"
+         << rotation.format(rows) << "\n\ntranslation\n"
+         << translation.x() << "\n"
+         << translation.y() << "\n"
+         << translation.z() << "\n";
+    return text.str();
+  }
+};
+
+std::string textOf(const Matrix34& matrix)
+{
+  std::ostringstream text;
+  text << matrix.format(Eigen::IOFormat(17, Eigen::DontAlignCols, " ", "\n")) << "\n";
+  return text.str();
+}
+
+GeometryImportOptions withPitch(double pitch = 0.3)
+{
+  GeometryImportOptions options;
+  options.pixel_pitch = Eigen::Vector2d(pitch, pitch);
+  return options;
+}
+
+GeometryImportOptions ofMatrices()
+{
+  GeometryImportOptions options = withPitch();
+  options.image_size = Eigen::Vector2i(800, 600);
+  return options;
+}
+
+class GeometryImport : public testing::Test
+{
+protected:
+  std::string write(const std::string& name, const std::string& text) const
+  {
+    folder_.write(name, text);
+    return folder_.path(name);
+  }
+
+  TemporaryFolder folder_;
+};
+
+TEST_F(GeometryImport, mayaCam)
+{
+  const TestCamera a(20.0), b(110.0);
+  std::string other_ends = b.mayaCam();  // another machine's line ends
+  for (std::size_t n = 0; (n = other_ends.find('\n', n)) != std::string::npos; n += 2)
+  {
+    other_ends.replace(n, 1, "\r\n");
+  }
+  const auto imported = importGeometry({ write("a.txt", a.mayaCam()), write("b.txt", other_ends) }, withPitch());
+  ASSERT_EQ(2U, imported.detectors.size());
+  for (std::size_t n = 0; n < 2; ++n)
+  {
+    const TestCamera& camera = n == 0 ? a : b;
+    const ProjectionGeometry& detector = imported.detectors[n];
+    EXPECT_EQ(camera.size, detector.imageSize());
+    EXPECT_NEAR(0.3, detector.pixelPitch().x(), 1e-12);
+    EXPECT_NEAR(0.3 * 4210.5, detector.sourceToDetector(), 1e-9);
+    expectSame(detector,
+               [&](const Eigen::Vector3d& point)
+               {
+                 const Eigen::Vector3d p = camera.rotation * point + camera.translation;
+                 return Eigen::Vector2d(4210.5 * p.x() / p.z() + 365.25, 4198.25 * p.y() / p.z() + 331.75);
+               });
+  }
+  EXPECT_EQ("detector_b", imported.detectors[1].name());
+}
+
+class SharedWrist : public SharedDataTest
+{
+};
+
+TEST_F(SharedWrist, mayaCamsAsSomebodyElseReadThem)
+{
+  const std::string calibration = folder_ + "/wrist_biplane/calibration/xr_calib_wrist_cam0";
+  const auto imported = importGeometry({ calibration + "1.txt", calibration + "2.txt" }, withPitch(0.2));
+  const auto expected = loadDetectors(folder_ + "/sequences/wrist_real/sequence.yaml");
+  for (std::size_t n = 0; n < 2; ++n)
+  {
+    EXPECT_LT((imported.detectors[n].source() - expected[n].source()).norm(), 1e-5);
+    EXPECT_LT((imported.detectors[n].origin() - expected[n].origin()).norm(), 1e-5);
+    // The sequence has 9 digits.
+    expectSame(
+        imported.detectors[n], [&](const Eigen::Vector3d& point) { return expected[n].project(point); }, 1e-4);
+  }
+}
+
+TEST_F(GeometryImport, matricesOfAnyScaleAndSign)
+{
+  const TestCamera a(-15.0), b(75.0);
+  for (const double scale : { 1.0, -1.0, 3e-4, -250.0 })
+  {
+    const auto imported = importGeometry(
+        { write("a.txt", textOf(scale * a.matrix())), write("b.txt", textOf(b.matrix())) }, ofMatrices());
+    expectSame(imported.detectors[0], [&](const Eigen::Vector3d& point) { return pixelOf(a.matrix(), point); });
+    expectSame(imported.detectors[1], [&](const Eigen::Vector3d& point) { return pixelOf(b.matrix(), point); });
+  }
+}
+
+TEST_F(GeometryImport, matricesInOneFileAsPeopleWriteThem)
+{
+  const TestCamera a(-15.0), b(75.0);
+  std::ostringstream text;
+  text << "# two views\n[[" << a.matrix().format(Eigen::IOFormat(17, Eigen::DontAlignCols, ", ", "],\n [")) << "]]\n\n"
+       << b.matrix().format(Eigen::IOFormat(17, Eigen::DontAlignCols, ";", ";"));  // 12 a line
+  GeometryImportOptions options = ofMatrices();
+  options.pixel_pitch.reset();
+  options.source_to_detector = 1400.0;
+  const auto imported = importGeometry({ write("both.txt", text.str()) }, options);
+  ASSERT_EQ(2U, imported.detectors.size());
+  EXPECT_NEAR(1400.0, imported.detectors[1].sourceToDetector(), 1e-9);
+  EXPECT_NEAR(1400.0 / 4198.25, imported.detectors[1].pixelPitch().y(), 1e-12);
+  expectSame(imported.detectors[0], [&](const Eigen::Vector3d& point) { return pixelOf(a.matrix(), point); });
+  expectSame(imported.detectors[1], [&](const Eigen::Vector3d& point) { return pixelOf(b.matrix(), point); });
+}
+
+/// What was done to the first view's matrix: the images' columns and rows turned about, its sign.
+class Handedness : public GeometryImport, public testing::WithParamInterface<std::tuple<bool, bool, double>>
+{
+};
+
+TEST_P(Handedness, isRightOrRefusedWithWhatMendsIt)
+{
+  const auto [columns, rows, sign] = GetParam();
+  const TestCamera a(30.0), b(-60.0);
+  Eigen::Matrix3d turn = Eigen::Matrix3d::Identity();
+  if (columns)
+  {
+    turn.row(0) << -1.0, 0.0, 799.0;
+  }
+  if (rows)
+  {
+    turn.row(1) << 0.0, -1.0, 599.0;
+  }
+  const Matrix34 matrix = sign * turn * a.matrix();
+  const std::vector<std::string> files{ write("a.txt", textOf(matrix)), write("b.txt", textOf(b.matrix())) };
+  GeometryImportOptions options = ofMatrices();
+  if (columns == rows)  // as it is, or turned by half
+  {
+    expectSame(importGeometry(files, options).detectors[0],
+               [&](const Eigen::Vector3d& point) { return pixelOf(turn * a.matrix(), point); });
+    return;
+  }
+  expectError<std::runtime_error>([&] { importGeometry(files, options); },
+                                  { "a.txt", "left-handed", "--flip_rows detector_a", "--flip_columns detector_a" });
+  options.flip_columns = { "detector_a" };
+  expectSame(importGeometry(files, options).detectors[0],
+             [&](const Eigen::Vector3d& point)
+             {
+               const Eigen::Vector2d pixel = pixelOf(matrix, point);
+               return Eigen::Vector2d(799.0 - pixel.x(), pixel.y());
+             });
+  options.flip_columns.clear();
+  options.flip_rows = { "detector_a" };
+  expectSame(importGeometry(files, options).detectors[0],
+             [&](const Eigen::Vector3d& point)
+             {
+               const Eigen::Vector2d pixel = pixelOf(matrix, point);
+               return Eigen::Vector2d(pixel.x(), 599.0 - pixel.y());
+             });
+}
+
+INSTANTIATE_TEST_SUITE_P(All, Handedness,
+                         testing::Combine(testing::Bool(), testing::Bool(), testing::Values(1.0, -1.0)));
+
+TEST_F(GeometryImport, skewIsLeftOutAndToldOrRefused)
+{
+  const TestCamera b(75.0);
+  const auto files = [&](double skew) {
+    return std::vector<std::string>{ write("a.txt", TestCamera(-15.0, skew).mayaCam()), write("b.txt", b.mayaCam()) };
+  };
+  // 331.7 px from the foot to the farthest edge: 4 * 331.7 / 4198.25 = 0.316 px.
+  const auto imported = importGeometry(files(4.0), withPitch());
+  EXPECT_NE(std::string::npos, imported.remarks[0].find("a skew of 0.316")) << imported.remarks[0];
+  expectSame(
+      imported.detectors[0],
+      [&](const Eigen::Vector3d& point) { return pixelOf(TestCamera(-15.0, 4.0).matrix(), point); }, 0.32);
+  expectError<std::runtime_error>([&] { importGeometry(files(8.0), withPitch()); },
+                                  { "a.txt", "skewed", "0.63", "0.5" });
+}
+
+TEST_F(GeometryImport, unitsAndWhatNoRoomHas)
+{
+  TestCamera a(-15.0), b(75.0);
+  a.translation /= 1000.0;
+  b.translation /= 1000.0;
+  const std::vector<std::string> files{ write("a.txt", a.mayaCam()), write("b.txt", b.mayaCam()) };
+  expectError<std::runtime_error>([&] { importGeometry(files, withPitch()); }, { "a.txt", "metres", "--unit m" });
+  GeometryImportOptions options = withPitch();
+  options.unit = 1000.0;
+  const TestCamera in_mm(-15.0);
+  expectSame(importGeometry(files, options).detectors[0],
+             [&](const Eigen::Vector3d& point) { return pixelOf(in_mm.matrix(), point); });
+  a.translation *= 100.0;
+  b.translation *= 100.0;
+  expectError<std::runtime_error>(
+      [&] {
+        importGeometry({ write("a.txt", a.mayaCam()), write("b.txt", b.mayaCam()) }, withPitch());
+      },
+      { "centimetres", "--unit cm" });
+  // The panel would be at 421 mm, the patient is at 1100 mm.
+  expectError<std::runtime_error>(
+      [&] {
+        importGeometry({ write("a.txt", in_mm.mayaCam()), write("b.txt", TestCamera(75.0).mayaCam()) }, withPitch(0.1));
+      },
+      { "nearer than", "give a pitch of more than 0.26" });
+}
+
+TEST_F(GeometryImport, theCamerasPoseForItsInverse)
+{
+  TestCamera a(-15.0), b(75.0);
+  for (TestCamera* camera : { &a, &b })
+  {
+    camera->translation = -camera->rotation.transpose() * camera->translation;
+    camera->rotation.transposeInPlace();
+  }
+  expectError<std::runtime_error>(
+      [&] {
+        importGeometry({ write("a.txt", a.mayaCam()), write("b.txt", b.mayaCam()) }, withPitch());
+      },
+      { "camera to room", "invert" });
+}
+
+TEST_F(GeometryImport, aPointDecidesWhereRaysDoNotMeet)
+{
+  // Side by side: parallel rays through the middles.
+  TestCamera a(0.0), b(0.0);
+  b.translation.x() += 100.0;
+  const std::vector<std::string> files{ write("a.txt", textOf(-a.matrix())), write("b.txt", textOf(b.matrix())) };
+  expectError<std::runtime_error>([&] { importGeometry(files, ofMatrices()); }, { "parallel", "--point" });
+  GeometryImportOptions options = ofMatrices();
+  options.point = Eigen::Vector3d(-10.0, 0.0, 0.0);
+  expectSame(importGeometry(files, options).detectors[0],
+             [&](const Eigen::Vector3d& point) { return pixelOf(a.matrix(), point); });
+  options.point = Eigen::Vector3d(900.0, 0.0, 0.0);
+  expectError<std::invalid_argument>([&] { importGeometry(files, options); }, { "--point", "900" });
+}
+
+/// The nine parameters of RTK.
+struct RtkParameters
+{
+  double sid, sdd, gantry, out_of_plane, in_plane, source_x, source_y, projection_x, projection_y;
+
+  /// RTK's documentation, "Final Matrix", entry by entry.
+  Matrix34 matrix() const
+  {
+    Eigen::Matrix4d rotation = Eigen::Matrix4d::Identity();
+    rotation.topLeftCorner<3, 3>() = rotationZ(-in_plane) * rotationX(-out_of_plane) * rotationY(-gantry);
+    Eigen::Matrix4d to_source = Eigen::Matrix4d::Identity();
+    to_source(0, 3) = -source_x;
+    to_source(1, 3) = -source_y;
+    Matrix34 magnification = Matrix34::Zero();
+    magnification(0, 0) = magnification(1, 1) = -sdd;
+    magnification(2, 2) = 1.0;
+    magnification(2, 3) = -sid;
+    Eigen::Matrix3d to_panel = Eigen::Matrix3d::Identity();
+    to_panel(0, 2) = source_x - projection_x;
+    to_panel(1, 2) = source_y - projection_y;
+    return to_panel * magnification * to_source * rotation;
+  }
+
+  std::string xml(bool with_matrix) const
+  {
+    std::ostringstream text;
+    text << std::setprecision(15) << "  <Projection>\n    <GantryAngle>" << gantry << "</GantryAngle>\n";
+    text << "    <OutOfPlaneAngle>" << out_of_plane << "</OutOfPlaneAngle>\n    <InPlaneAngle>" << in_plane
+         << "</InPlaneAngle>\n    <SourceOffsetX>" << source_x << "</SourceOffsetX>\n    <SourceOffsetY>" << source_y
+         << "</SourceOffsetY>\n    <ProjectionOffsetX>" << projection_x << "</ProjectionOffsetX>\n"
+         << "    <ProjectionOffsetY>" << projection_y << "</ProjectionOffsetY>\n";
+    if (with_matrix)
+    {
+      text << "    <Matrix>\n" << matrix().format(Eigen::IOFormat(15)) << "\n    </Matrix>\n";
+    }
+    text << "  </Projection>\n";
+    return text.str();
+  }
+};
+
+std::string rtkFile(const std::string& content)
+{
+  return "<?xml version=\"1.0\"?>\n<!DOCTYPE RTKGEOMETRY>\n<RTKThreeDCircularGeometry version=\"3\">\n" + content +
+         "</RTKThreeDCircularGeometry>\n";
+}
+
+GeometryImportOptions ofRtk(const std::vector<int>& projections)
+{
+  GeometryImportOptions options;
+  options.image_size = Eigen::Vector2i(512, 384);
+  options.pixel_pitch = Eigen::Vector2d(0.8, 0.776);
+  options.projections = projections;
+  options.flip_rows = { "detector_a", "detector_b" };
+  return options;
+}
+
+/// Pixel of images stored from the largest v down, whose middle is RTK's origin.
+Eigen::Vector2d rtkPixel(const Matrix34& matrix, const Eigen::Vector3d& point)
+{
+  const Eigen::Vector2d mm = pixelOf(matrix, point);
+  return { mm.x() / 0.8 + 255.5, 383.0 - (mm.y() / 0.776 + 191.5) };
+}
+
+TEST_F(GeometryImport, rtkOfObliqueProjections)
+{
+  const RtkParameters a{ 1000.0, 1536.0, 31.5, 12.25, -7.5, 3.5, -8.25, 21.0, -13.5 };
+  const RtkParameters unused{ 1000.0, 1536.0, 200.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0 };
+  const RtkParameters b{ 1000.0, 1536.0, 283.0, -20.5, 15.0, -4.0, 6.0, -117.0, 9.0 };
+  const std::string file =
+      write("geometry.xml", rtkFile("  <SourceToIsocenterDistance>1000</SourceToIsocenterDistance>\n"
+                                    "  <SourceToDetectorDistance>1536</SourceToDetectorDistance>\n" +
+                                    a.xml(true) + unused.xml(false) + b.xml(true)));
+  const auto imported = importGeometry({ file }, ofRtk({ 0, 2 }));
+  ASSERT_EQ(2U, imported.detectors.size());
+  EXPECT_NEAR(1536.0, imported.detectors[0].sourceToDetector(), 1e-9);
+  expectSame(imported.detectors[0], [&](const Eigen::Vector3d& point) { return rtkPixel(a.matrix(), point); });
+  expectSame(imported.detectors[1], [&](const Eigen::Vector3d& point) { return rtkPixel(b.matrix(), point); });
+
+  GeometryImportOptions as_stored = ofRtk({ 0, 2 });
+  as_stored.flip_rows.clear();
+  expectError<std::runtime_error>([&] { importGeometry({ file }, as_stored); },
+                                  { "projection 0", "left-handed", "--flip_rows detector_a detector_b" });
+}
+
+/// The example of RTK's documentation, without its cylindrical detector.
+TEST_F(GeometryImport, rtkAsItsOwnWriterDoes)
+{
+  const std::string head =
+      "<SourceToIsocenterDistance>1000</SourceToIsocenterDistance>"
+      "<SourceToDetectorDistance>1536</SourceToDetectorDistance>";
+  const std::string first =
+      "<Projection><GantryAngle>271.847274780273</GantryAngle><ProjectionOffsetX>-117.056503295898</ProjectionOffsetX>"
+      "<ProjectionOffsetY>-1.01195001602173</ProjectionOffsetY><Matrix>\n"
+      " -166.5093078829 0 -1531.42837748039 -117056.503295898\n"
+      " -1.01142410874151 -1536 0.0326206557691505 -1011.95001602173\n"
+      " -0.999480303105996 0 0.0322354417240802 -1000\n</Matrix></Projection>";
+  const std::string second =
+      "<Projection><GantryAngle>0</GantryAngle><ProjectionOffsetX>0</ProjectionOffsetX>"
+      "<ProjectionOffsetY>0</ProjectionOffsetY></Projection>";
+  Matrix34 matrix;
+  matrix << -166.5093078829, 0, -1531.42837748039, -117056.503295898, -1.01142410874151, -1536, 0.0326206557691505,
+      -1011.95001602173, -0.999480303105996, 0, 0.0322354417240802, -1000;
+  const auto imported = importGeometry({ write("g.xml", rtkFile(head + first + second)) }, ofRtk({ 0, 1 }));
+  expectSame(imported.detectors[0], [&](const Eigen::Vector3d& point) { return rtkPixel(matrix, point); });
+
+  const std::string cylinder = "<RadiusCylindricalDetector>1536</RadiusCylindricalDetector>";
+  expectError<std::runtime_error>(
+      [&] {
+        importGeometry({ write("g.xml", rtkFile(head + cylinder + first + second)) }, ofRtk({ 0, 1 }));
+      },
+      { "g.xml, line 4: RadiusCylindricalDetector", "1536", "flat panel" });
+  std::string other = first;
+  other.replace(other.find("271.8"), 5, "270.8");
+  expectError<std::runtime_error>(
+      [&] {
+        importGeometry({ write("g.xml", rtkFile(head + other + second)) }, ofRtk({ 0, 1 }));
+      },
+      { "g.xml, line 4: Matrix", "the parameters make" });
+}
+
+std::string dicom(const DicomElements& more)
+{
+  DicomElements elements{ { { 0x0008, 0x0016 }, { "UI", "1.2.840.10008.5.1.4.1.1.12.1" } },
+                          { { 0x0008, 0x0018 }, { "UI", "1.2.3.4" } },
+                          { { 0x0028, 0x0010 }, { "US", us(300) } },
+                          { { 0x0028, 0x0011 }, { "US", us(400) } } };
+  for (const auto& [tag, element] : more)
+  {
+    elements[tag] = element;
+  }
+  return dicomFile(elements);
+}
+
+DicomElements angiography(const std::string& primary, const std::string& secondary)
+{
+  return { { { 0x0008, 0x0060 }, { "CS", "XA" } },    { { 0x0018, 0x1110 }, { "DS", "1200" } },
+           { { 0x0018, 0x1111 }, { "DS", "780.5" } }, { { 0x0018, 0x1164 }, { "DS", "0.4\\0.5" } },
+           { { 0x0018, 0x1510 }, { "DS", primary } }, { { 0x0018, 0x1511 }, { "DS", secondary } } };
+}
+
+TEST_F(GeometryImport, positionerAnglesOfAngiography)
+{
+  const double angles[2][2] = { { -31.0, 17.0 }, { 58.5, -24.0 } };
+  std::vector<std::string> files;
+  for (const auto& [primary, secondary] : angles)
+  {
+    files.push_back(write("xa" + std::to_string(files.size()) + ".dcm",
+                          dicom(angiography(std::to_string(primary), std::to_string(secondary)))));
+  }
+  GeometryImportOptions options;
+  expectError<std::runtime_error>([&] { importGeometry(files, options); },
+                                  { "xa0.dcm", "left-handed", "--flip_columns detector_a detector_b" });
+  options.flip_columns = { "detector_a", "detector_b" };
+  const auto imported = importGeometry(files, options);
+  for (std::size_t n = 0; n < 2; ++n)
+  {
+    // A frontal C-arm in axes left, posterior, superior, tilted towards the head, then turned towards the left: the
+    // detector's axes as a viewer in front of the patient has them are left, inferior.
+    const Eigen::Matrix3d turned = rotationZ(angles[n][0]) * rotationX(-angles[n][1]);
+    const Eigen::Vector3d source = turned * Eigen::Vector3d(0.0, 780.5, 0.0);
+    const Eigen::Vector3d panel = turned * Eigen::Vector3d(0.0, 780.5 - 1200.0, 0.0);
+    const Eigen::Vector3d normal = turned * Eigen::Vector3d(0.0, -1.0, 0.0);
+    expectSame(imported.detectors[n],
+               [&](const Eigen::Vector3d& room)
+               {
+                 // docs/frames.md: room x is superior, y right, z anterior.
+                 const Eigen::Vector3d point(-room.y(), -room.z(), room.x());
+                 const Eigen::Vector3d hit =
+                     source + (point - source) * (panel - source).dot(normal) / (point - source).dot(normal) - panel;
+                 const double column = hit.dot(turned * Eigen::Vector3d(1.0, 0.0, 0.0)) / 0.5 + 199.5;
+                 const double row = hit.dot(turned * Eigen::Vector3d(0.0, 0.0, -1.0)) / 0.4 + 149.5;
+                 return Eigen::Vector2d(399.0 - column, row);
+               });
+  }
+  // In the flipped frontal image what is left in the patient is left: it is seen from the source, behind him.
+  EXPECT_LT(imported.detectors[0].project({ 0.0, -30.0, 0.0 }).x(), imported.detectors[0].project({ 0, 0, 0 }).x());
+}
+
+TEST_F(GeometryImport, positionerImagesThatAreMirroredAlready)
+{
+  DicomElements frontal = angiography("0", "0"), lateral = angiography("90", "0");
+  frontal[{ 0x0020, 0x0020 }] = { "CS", "R\\F" };
+  lateral[{ 0x0020, 0x0020 }] = { "CS", "A\\F" };
+  const std::vector<std::string> files{ write("f.dcm", dicom(frontal)), write("l.dcm", dicom(lateral)) };
+  // Left is -y, anterior z, superior x in the room.
+  const auto imported = importGeometry(files, {});
+  EXPECT_LT((imported.detectors[0].xDirection() - Eigen::Vector3d(0, 1, 0)).norm(), 1e-9);
+  EXPECT_LT((imported.detectors[0].source() - Eigen::Vector3d(0, 0, -780.5)).norm(), 1e-9);
+  EXPECT_LT((imported.detectors[1].xDirection() - Eigen::Vector3d(0, 0, 1)).norm(), 1e-9);
+  EXPECT_LT((imported.detectors[1].source() - Eigen::Vector3d(0, 780.5, 0)).norm(), 1e-9);
+  lateral[{ 0x0020, 0x0020 }] = { "CS", "L\\F" };
+  expectError<std::runtime_error>(
+      [&] {
+        importGeometry({ files[0], write("l.dcm", dicom(lateral)) }, {});
+      },
+      { "l.dcm", "PatientOrientation is L\\F", "90" });
+}
+
+DicomElements portal(const std::string& gantry)
+{
+  return { { { 0x0008, 0x0060 }, { "CS", "RTIMAGE" } },
+           { { 0x3002, 0x000c }, { "CS", "NORMAL" } },
+           { { 0x3002, 0x000d }, { "DS", "12\\-20\\-500" } },
+           { { 0x3002, 0x000e }, { "DS", "7.5" } },
+           { { 0x3002, 0x0010 }, { "DS", "1\\0\\0\\0\\-1\\0" } },
+           { { 0x3002, 0x0011 }, { "DS", "0.4\\0.5" } },
+           { { 0x3002, 0x0012 }, { "DS", "-90.5\\61.25" } },
+           { { 0x3002, 0x0022 }, { "DS", "1000" } },
+           { { 0x3002, 0x0026 }, { "DS", "1500" } },
+           { { 0x300a, 0x011e }, { "DS", gantry } } };
+}
+
+TEST_F(GeometryImport, rtImages)
+{
+  const double gantry[2] = { 340.0, 90.0 };
+  const auto imported =
+      importGeometry({ write("0.dcm", dicom(portal("340"))), write("1.dcm", dicom(portal("90"))) }, {});
+  for (std::size_t n = 0; n < 2; ++n)
+  {
+    expectSame(imported.detectors[n],
+               [&](const Eigen::Vector3d& room)
+               {
+                 // docs/frames.md; then into the gantry's system, turned back, and to the plane 500 mm below.
+                 const Eigen::Vector3d fixed(-room.y(), room.x(), room.z());
+                 const Eigen::Vector3d p = rotationY(-gantry[n]) * fixed;
+                 const Eigen::Vector3d hit = Eigen::Vector3d(p.x(), p.y(), 0.0) * 1500.0 / (1000.0 - p.z());
+                 const Eigen::Vector3d receptor = rotationZ(-7.5) * (hit - Eigen::Vector3d(12.0, -20.0, 0.0));
+                 return Eigen::Vector2d((receptor.x() + 90.5) / 0.5, (61.25 - receptor.y()) / 0.4);
+               });
+  }
+  // IEC 61217: the source of a gantry at 90 degrees is at the left of a supine patient, head first: -y in the room.
+  EXPECT_LT((imported.detectors[1].source() - Eigen::Vector3d(0, -1000, 0)).norm(), 1e-9);
+
+  DicomElements scaled = portal("340");
+  scaled[{ 0x3002, 0x0026 }] = { "DS", "1400" };
+  expectError<std::runtime_error>(
+      [&] {
+        importGeometry({ write("0.dcm", dicom(scaled)), folder_.path("1.dcm") }, {});
+      },
+      { "0.dcm", "XRayImageReceptorTranslation", "-500", "-400" });
+}
+
+std::string detectorText(const DetectorDescription& d)
+{
+  std::ostringstream text;
+  const Eigen::IOFormat list(17, Eigen::DontAlignCols, ", ", ", ", "", "", "[", "]");
+  text << "- {name: " << d.name << ", image_size: " << d.image_size.format(list)
+       << ", pixel_pitch_mm: " << d.pixel_pitch.format(list) << ", source_mm: " << d.source.format(list)
+       << ", origin_mm: " << d.origin.format(list) << ", x_direction: " << d.x_direction.format(list)
+       << ", y_direction: " << d.y_direction.format(list) << "}\n";
+  return text.str();
+}
+
+/// Right: from z = 1000 mm down, and from y = 1000 mm.
+std::vector<DetectorDescription> twoDetectors()
+{
+  return { { "top", { 400, 300 }, { 0.5, 0.4 }, { 0, 0, 1000 }, { -100, 60, -500 }, { 1, 0, 0 }, { 0, -1, 0 } },
+           { "side", { 400, 300 }, { 0.5, 0.4 }, { 0, 1000, 0 }, { -100, -500, -60 }, { 1, 0, 0 }, { 0, 0, 1 } } };
+}
+
+TEST_F(GeometryImport, detectorsAsTheyAre)
+{
+  const auto write_list = [&](const std::vector<DetectorDescription>& list)
+  { return write("list.yaml", "detectors:\n" + detectorText(list[0]) + detectorText(list[1])); };
+  auto list = twoDetectors();
+  const auto imported = importGeometry({ write_list(list) }, {});
+  EXPECT_EQ("side", imported.detectors[1].name());
+  EXPECT_LT((imported.detectors[0].origin() - list[0].origin).norm(), 1e-9);
+
+  // Mirrored, with the flip that makes it what it was.
+  list[0].origin.y() = 60.0 - 299 * 0.4;
+  list[0].y_direction = -list[0].y_direction;
+  const std::string mirrored = write_list(list);
+  expectError<std::runtime_error>([&] { importGeometry({ mirrored }, {}); },
+                                  { "list.yaml, line 2: detectors[0]", "left-handed", "--flip_rows top" });
+  GeometryImportOptions options;
+  options.flip_rows = { "top" };
+  const auto flipped = importGeometry({ mirrored }, options);
+  expectSame(flipped.detectors[0], [&](const Eigen::Vector3d& point) { return imported.detectors[0].project(point); });
+
+  // Source and panel swapped; metres.
+  list = twoDetectors();
+  for (DetectorDescription& d : list)
+  {
+    const Eigen::Vector3d middle = d.origin + d.x_direction * 199.5 * 0.5 + d.y_direction * 149.5 * 0.4;
+    d.origin += d.source - middle;
+    d.source = middle;
+  }
+  expectError<std::runtime_error>([&] { importGeometry({ write_list(list) }, {}); },
+                                  { "source and panel are swapped", "all views see 500", "swap them. Else" });
+  list = twoDetectors();
+  for (DetectorDescription& d : list)
+  {
+    d.source /= 1000.0;
+    d.origin /= 1000.0;
+    d.pixel_pitch /= 1000.0;
+  }
+  expectError<std::runtime_error>([&] { importGeometry({ write_list(list) }, {}); }, { "list.yaml", "mm" });
+}
+
+TEST_F(GeometryImport, roundTripThroughASetupWhoseOtherKeysAreKept)
+{
+  const TestCamera a(20.0), b(110.0);
+  const auto imported =
+      importGeometry({ write("a.txt", a.mayaCam()), write("b.txt", b.mayaCam()) }, withPitch()).detectors;
+  std::filesystem::create_directories(folder_.path("other"));
+  const std::string setup = write("setup.yaml",
+                                  "ct: ct.nrrd\ncomment: kept\ndetectors: old.yaml\n"
+                                  "initial_pose: {translation_mm: [0.1, 2, 3], rotation_xyzw: [0, 0, 0, 1]}\n"
+                                  "target_box_mm: {min: [-1, -1, -1], max: [1, 1, 1]}\n");
+  const std::string out = folder_.path("other/out.yaml");
+  writeDetectors(imported, out, setup);
+  const TreatmentSetup read = loadTreatmentSetup(out);
+  EXPECT_EQ(folder_.path("ct.nrrd"), read.ct_path);
+  EXPECT_EQ(0.1, read.room_from_patient.translation().x());
+  for (std::size_t n = 0; n < 2; ++n)
+  {
+    expectSame(
+        read.detectors[n], [&](const Eigen::Vector3d& point) { return imported[n].project(point); }, 1e-9);
+  }
+  std::stringstream text;
+  text << std::ifstream(out).rdbuf();
+  EXPECT_NE(std::string::npos, text.str().find("comment: kept"));
+  // What was written can be imported again.
+  const auto again = importGeometry({ out }, {}).detectors;
+  EXPECT_LT((again[1].origin() - imported[1].origin()).norm(), 1e-9);
+}
+
+/// Something wrong with a file, and what the message names.
+struct Flaw
+{
+  const char* name;
+  std::string content;
+  GeometryImportOptions options;
+  std::vector<std::string> named;
+};
+
+std::ostream& operator<<(std::ostream& stream, const Flaw& flaw)
+{
+  return stream << flaw.name;
+}
+
+class BadFile : public GeometryImport, public testing::WithParamInterface<Flaw>
+{
+};
+
+TEST_P(BadFile, isRefusedByName)
+{
+  const Flaw& flaw = GetParam();
+  const std::string file = write("file", flaw.content);
+  expectError<std::exception>([&] { importGeometry({ file, file }, flaw.options); }, flaw.named);
+}
+
+std::string replaced(std::string text, const std::string& what, const std::string& by)
+{
+  const std::size_t place = text.find(what);
+  EXPECT_NE(std::string::npos, place) << what;
+  return place == std::string::npos ? text : text.replace(place, what.size(), by);
+}
+
+std::vector<Flaw> flaws()
+{
+  const std::string maya = TestCamera(20.0).mayaCam();
+  const std::string matrix = textOf(TestCamera(20.0).matrix());
+  const RtkParameters projection{ 1000.0, 1536.0, 30.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0 };
+  const std::string distances =
+      "<SourceToIsocenterDistance>1000</SourceToIsocenterDistance>\n"
+      "<SourceToDetectorDistance>1536</SourceToDetectorDistance>\n";
+  const std::string rtk = rtkFile(distances + projection.xml(true));
+  GeometryImportOptions no_size = withPitch(), no_pitch = ofMatrices(), no_projection = ofRtk({});
+  no_pitch.pixel_pitch.reset();
+  const GeometryImportOptions first = ofRtk({ 0 });
+  const auto xa = [](int group, int element, const std::string& value)
+  {
+    DicomElements elements = angiography("0", "0");
+    elements[{ group, element }].second = value;
+    return dicom(elements);
+  };
+  DicomElements empty_angle = angiography("", "0"), no_spacing = angiography("0", "0"), ct = angiography("0", "0"),
+                dynamic = angiography("0", "0"), many = angiography("0", "0"), tilted = portal("0");
+  no_spacing.erase({ 0x0018, 0x1164 });
+  ct[{ 0x0008, 0x0060 }] = { "CS", "CT" };
+  dynamic[{ 0x0018, 0x1500 }] = { "CS", "DYNAMIC" };
+  many[{ 0x0028, 0x0008 }] = { "IS", "12" };
+  tilted[{ 0x3002, 0x000c }] = { "CS", "NON_NORMAL" };
+  DicomElements swapped = portal("0");
+  swapped[{ 0x3002, 0x0022 }].second = "1500";
+  swapped[{ 0x3002, 0x0026 }].second = "1000";
+  return {
+    { "empty", "", {}, { "file", "is empty", "MayaCam" } },
+    { "blank", "\n  \n", {}, { "is empty" } },
+    { "prose", "hello world\n", {}, { "file, line 1", "hello world", "MayaCam" } },
+    { "binary", std::string("\0\1\2\3", 4), {}, { "file", "expected" } },
+    { "mayaOnce", maya, withPitch(), { "file", "different places" } },
+    { "mayaTruncated", maya.substr(0, maya.find("rotation")), withPitch(), { "file", "\"rotation\" is missing" } },
+    { "mayaTruncatedInside",
+      maya.substr(0, maya.find("translation") + 14),
+      withPitch(),
+      { "file, line 14", "translation has 1", "3 lines of 1" } },
+    { "mayaWithoutHead", maya.substr(maya.find("camera matrix")), withPitch(), { "\"image size\" is missing" } },
+    { "mayaNan", replaced(maya, "365.25", "nan"), withPitch(), { "file, line 5", "\"nan\"", "finite number" } },
+    { "mayaNanLine", replaced(maya, "1100", "nan"), withPitch(), { "file, line 17", "\"nan\"" } },
+    { "mayaHuge", replaced(maya, "365.25", "1e400"), withPitch(), { "file, line 5", "1e400" } },
+    { "mayaWord", replaced(maya, "365.25", "12px"), withPitch(), { "file, line 5", "12px" } },
+    { "mayaShortRow", replaced(maya, ",365.25", ""), withPitch(), { "file, line 4", "camera matrix has 8" } },
+    { "mayaTwice", maya + maya, withPitch(), { "file, line 18", "second time" } },
+    { "mayaUnknown", maya + "\nfocus\n1\n", withPitch(), { "file, line 19", "focus" } },
+    { "mayaDistorted", maya + "\ndistortion\n0.1,0,0,0,0\n", withPitch(), { "distortion", "undistorted" } },
+    { "mayaStretched", replaced(maya, "rotation\n0.9", "rotation\n1.9"), withPitch(), { "file, line 9", "identity" } },
+    { "mayaSize", replaced(maya, "800,600", "800.5,600"), withPitch(), { "file, line 1", "800.5" } },
+    { "mayaSizeZero", replaced(maya, "800,600", "0,600"), withPitch(), { "file, line 1", "image size is 0, 600" } },
+    { "mayaRowsFirst", replaced(maya, "800,600", "350,800"), withPitch(), { "rows, columns", "--image_size 800 350" } },
+    { "mayaOpen", maya, {}, { "different places" } },
+    { "one",
+      "image size\n800,600\ncamera matrix\n4000,0,0\n0,4000,0\n400,300,1\nrotation\n1,0,0\n0,1,0\n0,0,1\ntranslation\n"
+      "0\n0\n1000\n",
+      withPitch(),
+      { "file, line 3", "transpose" } },
+    { "mayaOne", "0,0,1\n1,2,3\n4,5,6\n7,8,9\n1,1024,1024\n", withPitch(), { "MayaCam 1.0" } },
+    { "matrixTwice", matrix, ofMatrices(), { "different places" } },
+    { "matrixSize", matrix, no_size, { "--image_size" } },
+    { "matrixTruncated", matrix.substr(0, matrix.rfind('\n', matrix.size() - 2)), ofMatrices(), { "8 numbers" } },
+    { "matrixRow", "1 2 3 4 5\n" + matrix, ofMatrices(), { "file, line 1", "5 numbers" } },
+    { "dlt", "1 2 3 4 5 6 7 8 9 10 11\n", ofMatrices(), { "DLT", "put 1 behind" } },
+    { "matrixWord", "1 2 x 4\n" + matrix, ofMatrices(), { "file, line 1", "\"x\"" } },
+    { "matrixZero", "0 0 0 0\n0 0 0 0\n0 0 0 0\n", ofMatrices(), { "third row", "parallel" } },
+    { "matrixParallel", "1 0 0 0\n0 1 0 0\n0 0 0 1\n", ofMatrices(), { "third row", "parallel" } },
+    { "matrixSingular", "1 0 0 5\n2 0 0 6\n0 0 1 7\n", ofMatrices(), { "no camera" } },
+    { "matrixHuge", "1e15 0 0 5\n0 1e-15 0 6\n0 0 1 1e15\n", ofMatrices(), { "third row" } },
+    { "rtkNoProjection", rtk, no_projection, { "1 projections", "--projections", "0 to 0" } },
+    { "rtkBeyond", rtk, ofRtk({ 5 }), { "--projections: 5", "0 to 0" } },
+    { "rtkTwice", rtk, ofRtk({ 0 }), { "different places" } },
+    { "rtkTruncated", rtk.substr(0, rtk.size() - 40), first, { "file, line", "not XML" } },
+    { "rtkOther",
+      "<?xml version=\"1.0\"?>\n<Calibration/>\n",
+      first,
+      { "<Calibration>", "RTKThreeDCircularGeometry" } },
+    { "rtkVersion", replaced(rtk, "\"3\"", "\"1\""), first, { "line 3", "version is 1" } },
+    { "rtkNoAngle", replaced(rtk, "1000<", "<"), first, { "SourceToIsocenterDistance", "expected a number" } },
+    { "rtkWord", replaced(rtk, ">1000<", ">far<"), first, { "line 4: SourceToIsocenterDistance", "\"far\"" } },
+    { "rtkNoDistance",
+      rtkFile(projection.xml(false)),
+      first,
+      { "projection 0", "SourceToIsocenterDistance is missing" } },
+    { "rtkSwapped", replaced(replaced(rtk, ">1000<", ">9999<"), ">1536<", ">1000<"), first, { "9999", "swapped" } },
+    { "rtkParallel", replaced(rtk, ">1536<", ">0<"), first, { "parallel" } },
+    { "rtkUnknown", replaced(rtk, "InPlaneAngle>0</InPlaneAngle", "Tilt>0</Tilt"), first, { "Tilt", "unknown" } },
+    { "rtkMatrixCount", replaced(rtk, "</Matrix>", " 7</Matrix>"), first, { "Matrix", "13 numbers" } },
+    { "rtkEmpty", rtkFile(""), first, { "no <Projection>" } },
+    { "dicomTwice", dicom(angiography("0", "0")), {}, { "different places" } },
+    { "dicomEmptyAngle", dicom(empty_angle), {}, { "PositionerPrimaryAngle is absent" } },
+    { "dicomWord", xa(0x0018, 0x1510, "left"), {}, { "PositionerPrimaryAngle is \"left\"" } },
+    { "dicomSwapped", xa(0x0018, 0x1110, "500"), {}, { "DistanceSourceToDetector 500", "swapped" } },
+    { "dicomNegative", xa(0x0018, 0x1110, "-500"), {}, { "DistanceSourceToDetector is -500", "positive" } },
+    { "dicomNoSpacing", dicom(no_spacing), {}, { "ImagerPixelSpacing is absent", "--pitch" } },
+    { "dicomCt", dicom(ct), {}, { "Modality is CT", "RTIMAGE" } },
+    { "dicomDynamic", dicom(dynamic), {}, { "PositionerMotion is DYNAMIC" } },
+    { "dicomFrames", dicom(many), {}, { "NumberOfFrames is 12" } },
+    { "rtImageTilted", dicom(tilted), {}, { "RTImagePlane is NON_NORMAL" } },
+    { "rtImageSwapped", dicom(swapped), {}, { "RTImageSID is 1000", "RadiationMachineSAD 1500", "swapped" } },
+    { "listWithoutKey", "detectors:\n- {name: a}\n", {}, { "detectors[0].image_size is missing" } },
+    { "listOfWords", "detectors: here\n", {}, { "detectors", "a list" } },
+    { "listUseless", "detectors:\n" + detectorText(twoDetectors()[0]), withPitch(), { "--pitch" } },
+  };
+}
+
+INSTANTIATE_TEST_SUITE_P(Flaws, BadFile, testing::ValuesIn(flaws()),
+                         [](const testing::TestParamInfo<Flaw>& test) { return std::string(test.param.name); });
+
+TEST_F(GeometryImport, otherFlaws)
+{
+  const TestCamera a(20.0), b(110.0);
+  const std::vector<std::string> files{ write("a.txt", a.mayaCam()), write("b.txt", b.mayaCam()) };
+  expectError<std::invalid_argument>([&] { importGeometry({ files[0] }, withPitch()); }, { "1 view", "two or more" });
+  expectError<std::invalid_argument>([&] { importGeometry(files, {}); }, { "a.txt", "--pitch", "--sdd" });
+  expectError<std::runtime_error>(
+      [&] {
+        importGeometry({ files[0], folder_.path("none") }, withPitch());
+      },
+      { "none: missing" });
+  expectError<std::runtime_error>([&] { importGeometry({ files[0], folder_.path() }, withPitch()); }, { "not a file" });
+  GeometryImportOptions options = withPitch();
+  options.source_to_detector = 1000.0;
+  expectError<std::invalid_argument>([&] { importGeometry(files, options); }, { "--pitch and --sdd" });
+  options = withPitch();
+  options.names = { "a" };
+  expectError<std::invalid_argument>([&] { importGeometry(files, options); }, { "--names has 1" });
+  options.names = { "a", "a" };
+  expectError<std::runtime_error>([&] { importGeometry(files, options); }, { "second detector 'a'" });
+  options = withPitch();
+  options.flip_rows = { "detector_c" };
+  expectError<std::invalid_argument>([&] { importGeometry(files, options); }, { "--flip_rows: 'detector_c'" });
+  options = withPitch();
+  options.pixel_pitch = Eigen::Vector2d(0.3, 0.4);
+  expectError<std::runtime_error>([&] { importGeometry(files, options); }, { "0.3 x 0.4", "to 1 %" });
+}
+}  // namespace
+}  // namespace xray_tracking
