@@ -460,5 +460,130 @@ TEST(AlignSequence, endsOnBadInput)
   std::filesystem::remove(folder.file("ct.nrrd"));
   fails("", "ct.nrrd");
 }
+
+/// A camera of 8 x 6 pixels that looks at the room's origin from `z` mm on the side that `rotation` has it.
+std::string mayaCam(const std::string& rotation, double z)
+{
+  std::ostringstream text;
+  text << "image size\n8,6\n\ncamera matrix\n2000,0,3.5\n0,2000,2.5\n0,0,1\n\nrotation\n"
+       << rotation << "\n\ntranslation\n0\n0\n"
+       << z << "\n";
+  return text.str();
+}
+
+TEST(ImportGeometry, keepsTheRestOfASequence)
+{
+  const TemporaryFolder folder;
+  writeTestSequence(folder);
+  folder.write("a.txt", mayaCam("1,0,0\n0,-1,0\n0,0,-1", 900.0));
+  folder.write("b.txt", mayaCam("1,0,0\n0,0,1\n0,-1,0", 900.0));
+  const std::string views = " --views " + folder.file("a.txt") + ' ' + folder.file("b.txt");
+  const std::string out = folder.file("out.yaml");
+  const CommandResult result =
+      run("import_geometry " + out + views + " --pitch 0.5 --into " + folder.file("sequence.yaml"));
+  EXPECT_EQ(0, result.status) << result.output;
+  EXPECT_TRUE(contains(result.output, "all views see [0, 0, 0] mm")) << result.output;
+  EXPECT_TRUE(contains(result.output, "2 detectors written")) << result.output;
+  const TreatmentSetup setup = loadTreatmentSetup(out);
+  EXPECT_EQ(10.0, setup.room_from_patient.translation().x());
+  EXPECT_LT((setup.detectors[1].source() - Eigen::Vector3d(0, 900, 0)).norm(), 1e-9);
+  EXPECT_EQ("detector_b", setup.detectors[1].name());
+
+  // Alone it is no setup yet, and says so.
+  const CommandResult alone = run("import_geometry " + out + views + " --sdd 1000 --names left right");
+  EXPECT_EQ(0, alone.status);
+  EXPECT_TRUE(contains(alone.output, "not yet a whole setup: ")) << alone.output;
+  EXPECT_EQ("right", loadDetectors(out)[1].name());
+}
+
+TEST(ImportGeometry, tellsOfAnInvertedInitialPose)
+{
+  const TemporaryFolder folder;
+  writeTestSequence(folder);
+  folder.write("a.txt", mayaCam("1,0,0\n0,-1,0\n0,0,-1", 900.0));
+  folder.write("b.txt", mayaCam("1,0,0\n0,0,1\n0,-1,0", 900.0));
+  // The target stands at -10, -20, -30 in the patient; the pose moves it there again.
+  std::ifstream in(folder.file("sequence.yaml"));
+  std::string text((std::istreambuf_iterator<char>(in)), std::istreambuf_iterator<char>());
+  text.replace(text.find("[10, 20, 30]"), 12, "[-10, -20, -30]");
+  text.replace(text.find("min: [-12, -21, -31], max: [-8, -19, -29]"), 41,
+               "min: [-10.5, -20.5, -30.5], max: [-9.5, -19.5, -29.5]");
+  folder.write("sequence.yaml", text);
+  const CommandResult result = run("import_geometry " + folder.file("out.yaml") + " --views " + folder.file("a.txt") +
+                                   ' ' + folder.file("b.txt") + " --pitch 0.5 --into " + folder.file("sequence.yaml"));
+  EXPECT_EQ(0, result.status) << result.output;
+  EXPECT_TRUE(contains(result.output, "target_outside_image: detector_a")) << result.output;
+  EXPECT_TRUE(contains(result.output, "by the inverse of it (it maps room to patient)")) << result.output;
+}
+
+TEST(ImportGeometry, endsOnBadInput)
+{
+  const TemporaryFolder folder;
+  writeTestSequence(folder);
+  folder.write("a.txt", mayaCam("1,0,0\n0,-1,0\n0,0,-1", 900.0));
+  folder.write("b.txt", mayaCam("1,0,0\n0,0,1\n0,-1,0", 900.0));
+  const std::string out = folder.file("out.yaml");
+  const auto fails = [&](const std::string& options, const std::string& named)
+  {
+    const CommandResult result = run("import_geometry " + out + ' ' + options);
+    EXPECT_EQ(1, result.status) << named;
+    EXPECT_TRUE(contains(result.output, named)) << result.output;
+    EXPECT_EQ(result.output.size() - 1, result.output.find('\n')) << result.output;
+    EXPECT_FALSE(std::filesystem::exists(out));
+  };
+  const std::string views = "--views " + folder.file("a.txt") + ' ' + folder.file("b.txt");
+  fails("", "--views is missing");
+  fails(views, "--pitch MM or --sdd MM");
+  fails(views + " --pitch 0.5 --unit inch", "--unit is inch");
+  fails(views + " --pitch 1 2 3", "--pitch has 3");
+  fails(views + " --pitch -0.5", "");
+  fails(views + " --sdd nan", "nan");
+  fails(views + " --pitch 0.5 --point 1 2", "--point has 2");
+  fails(views + " --pitch 0.5 --image_size 8", "--image_size has 1");
+  fails(views + " --pitch 0.5 --into " + folder.file("none.yaml"), "none.yaml");
+  fails("--views " + folder.file("none.txt") + " --pitch 0.5", "none.txt");
+}
+
+TEST(ShowSetup, drawsSetupsAndSequences)
+{
+  const TemporaryFolder folder;
+  writeTestSequence(folder);
+  const std::string out = folder.file("picture.png");
+  CommandResult result = run("show_setup " + folder.file("") + ' ' + out);
+  EXPECT_EQ(0, result.status) << result.output;
+  EXPECT_FALSE(cv::imread(out).empty());
+  std::filesystem::remove(out);
+
+  // The picture's path may stand behind the images.
+  result = run("show_setup " + folder.file("sequence.yaml") + " --images " + folder.file("image_a1.png") + ' ' +
+               folder.file("image_b1.png") + ' ' + out);
+  EXPECT_EQ(0, result.status) << result.output;
+  EXPECT_FALSE(cv::imread(out).empty());
+
+  writePhantomSequence(folder);
+  std::filesystem::remove(out);
+  result = run("show_setup " + folder.file("") + ' ' + out);
+  EXPECT_EQ(0, result.status) << result.output;
+  EXPECT_FALSE(cv::imread(out).empty());
+}
+
+TEST(ShowSetup, endsOnBadInput)
+{
+  const TemporaryFolder folder;
+  writeTestSequence(folder);
+  const auto fails = [&](const std::string& options, const std::string& named)
+  {
+    const CommandResult result = run("show_setup " + options);
+    EXPECT_EQ(1, result.status) << named;
+    EXPECT_TRUE(contains(result.output, named)) << result.output;
+  };
+  const std::string setup = folder.file("sequence.yaml");
+  fails(setup, "OUT.png is missing");
+  fails(folder.file("none.yaml") + ' ' + folder.file("out.png"), "none.yaml");
+  fails(setup + ' ' + folder.file("out.txt"), "out.txt: cannot be written");
+  fails(setup + ' ' + folder.file("none/out.png"), "cannot be written");
+  fails(setup + ' ' + folder.file("out.png") + " --images " + folder.file("image_a1.png"), "--images: 1");
+  fails(setup + ' ' + folder.file("out.png") + " --images a.png b.png", "a.png");
+}
 }  // namespace
 }  // namespace xray_tracking

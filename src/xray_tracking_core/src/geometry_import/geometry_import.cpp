@@ -50,6 +50,12 @@ std::string listOf(const Eigen::VectorXd& vector)
   return "[" + text.str() + "]";
 }
 
+/// A place [mm], without what rounding leaves of zeros.
+std::string placeOf(const Eigen::Vector3d& mm)
+{
+  return listOf(((mm.array() * 1e6).round() / 1e6 + 0.0).matrix());
+}
+
 /// A view's matrix taken apart. Left-handed if axes' determinant is -1.
 struct Camera
 {
@@ -241,7 +247,7 @@ void checkPlaces(const std::vector<ImportedView>& views, double unit)
     {
       if (!((source - cameraOf(views[other]).source).norm() > kSamePlace * std::min(1.0, unit)))
       {
-        fail(views[n].where, "its source is at " + listOf(source) + ", as that of " + views[other].where +
+        fail(views[n].where, "its source is at " + placeOf(source) + ", as that of " + views[other].where +
                                  ": expected views from different places; is one there twice? Are rotation and "
                                  "translation the camera's pose (camera to room)? Then invert them");
       }
@@ -285,13 +291,13 @@ std::optional<Eigen::Vector3d> pointOf(const std::vector<ImportedView>& views, c
     }
     if (options.point)
     {
-      throw std::invalid_argument("--point is " + listOf(*options.point) + " mm, which " + view.where +
+      throw std::invalid_argument("--point is " + placeOf(*options.point) + " mm, which " + view.where +
                                   " does not have in its image: expected a room point that all views see");
     }
     if (!all_known)
     {
       fail(view.where, (point ? "its image does not have the point nearest to the rays through the images' middles, " +
-                                    listOf(*point) + " mm"
+                                    placeOf(*point) + " mm"
                               : std::string("the rays through the images' middles are parallel")) +
                            ": expected views of one place. Do the files belong together? Are the coordinates those of "
                            "the room, in mm? If all is right, give a point that all views see, --point X Y Z" +
@@ -351,7 +357,7 @@ void checkRoom(const ImportedView& view, const Camera& camera, double sdd, doubl
   if (!(depth >= kNearest && depth <= kFarthest))
   {
     fail(view.where,
-         sentence("the source is at ", listOf(camera.source), ", ", depth, " mm from what all views see: expected ",
+         sentence("the source is at ", placeOf(camera.source), ", ", depth, " mm from what all views see: expected ",
                   kNearest, " to ", kFarthest, " mm", unitHint(depth, !view.is_in_mm)));
   }
   if (!(sdd > depth))
@@ -370,7 +376,7 @@ std::string remarkOf(const ImportedView& view, const ProjectionGeometry& detecto
 {
   std::ostringstream text;
   text.precision(6);
-  text << detector.name() << " (" << view.where << "): source " << listOf(detector.source()) << " mm, panel at "
+  text << detector.name() << " (" << view.where << "): source " << placeOf(detector.source()) << " mm, panel at "
        << detector.sourceToDetector() << " mm with a pitch of " << detector.pixelPitch().x() << " x "
        << detector.pixelPitch().y() << " mm, principal point " << listOf(detector.foot()) << " px of "
        << detector.imageSize().x() << " x " << detector.imageSize().y();
@@ -426,7 +432,7 @@ ImportedView viewOf(const DetectorDescription& description, const std::string& w
   const double sdd = origin.dot(normal);
   if (!(sdd >= 1.0))
   {
-    fail(where, "the source is at " + listOf(description.source) + ", " + sentence(sdd) +
+    fail(where, "the source is at " + placeOf(description.source) + ", " + sentence(sdd) +
                     " mm from the panel's plane: expected 1 mm or more");
   }
   const Eigen::Vector2d foot =
@@ -545,7 +551,7 @@ ImportedGeometry importGeometry(const std::vector<std::string>& files, const Geo
                                                                     camera.foot, room_from_optical, sdd));
     imported.remarks.push_back(remarkOf(view, imported.detectors.back(), camera, depth));
   }
-  imported.remarks.push_back(point ? "all views see " + listOf(*point) + " mm"
+  imported.remarks.push_back(point ? "all views see " + placeOf(*point) + " mm"
                                    : "no room point is in the middle of all images: do the views belong together?");
   return imported;
 }

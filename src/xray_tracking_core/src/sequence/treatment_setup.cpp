@@ -155,6 +155,11 @@ YAML::Node detectorNode(const ProjectionGeometry& detector)
   node["origin_mm"] = listOf(detector.origin());
   node["x_direction"] = listOf(detector.xDirection());
   node["y_direction"] = listOf(detector.yDirection());
+  for (const auto& key : node)
+  {
+    YAML::Node value = key.second;
+    value.SetStyle(YAML::EmitterStyle::Flow);
+  }
   return node;
 }
 

@@ -11,7 +11,7 @@
 
 namespace xray_tracking
 {
-/// What files of other programs leave open. docs/geometry_import.md has the rules.
+/// What files of other programs leave open. docs/geometry.md has the rules.
 struct GeometryImportOptions
 {
   std::optional<Eigen::Vector2i> image_size;   ///< columns, rows [px]: of matrices and RTK; instead of a MayaCam's
