@@ -287,7 +287,7 @@ TEST_F(GeometryImport, unitsAndWhatNoRoomHas)
   a.translation /= 1000.0;
   b.translation /= 1000.0;
   const std::vector<std::string> files{ write("a.txt", a.mayaCam()), write("b.txt", b.mayaCam()) };
-  expectError<std::runtime_error>([&] { importGeometry(files, withPitch()); }, { "a.txt", "metres", "--unit m" });
+  expectError<std::runtime_error>([&] { importGeometry(files, withPitch()); }, { "a.txt", "in metres?", "--unit m" });
   GeometryImportOptions options = withPitch();
   options.unit = 1000.0;
   const TestCamera in_mm(-15.0);
@@ -299,13 +299,18 @@ TEST_F(GeometryImport, unitsAndWhatNoRoomHas)
       [&] {
         importGeometry({ write("a.txt", a.mayaCam()), write("b.txt", b.mayaCam()) }, withPitch());
       },
-      { "centimetres", "--unit cm" });
+      { "in centimetres?", "--unit m or cm" });
   // The panel would be at 421 mm, the patient is at 1100 mm.
   expectError<std::runtime_error>(
       [&] {
         importGeometry({ write("a.txt", in_mm.mayaCam()), write("b.txt", TestCamera(75.0).mayaCam()) }, withPitch(0.1));
       },
-      { "nearer than", "give a pitch of more than 0.26" });
+      { "nearer than", "more than 0.26" });
+  expectError<std::runtime_error>(
+      [&] {
+        importGeometry({ write("a.txt", in_mm.mayaCam()), write("b.txt", TestCamera(75.0).mayaCam()) }, withPitch(300));
+      },
+      { "is the pitch in mm?" });
 }
 
 TEST_F(GeometryImport, theCamerasPoseForItsInverse)
@@ -635,7 +640,7 @@ TEST_F(GeometryImport, detectorsAsTheyAre)
     d.origin /= 1000.0;
     d.pixel_pitch /= 1000.0;
   }
-  expectError<std::runtime_error>([&] { importGeometry({ write_list(list) }, {}); }, { "list.yaml", "mm" });
+  expectError<std::runtime_error>([&] { importGeometry({ write_list(list) }, {}); }, { "list.yaml", "in metres?" });
 }
 
 TEST_F(GeometryImport, roundTripThroughASetupWhoseOtherKeysAreKept)

@@ -74,8 +74,26 @@ GeometryImportOptions optionsOf(const po::variables_map& arguments)
   return options;
 }
 
+/// Names of the detectors in a setup, by which tables of frames and regions go; none if it has no good ones.
+std::vector<std::string> namesIn(const std::string& path)
+{
+  std::vector<std::string> names;
+  try
+  {
+    for (const ProjectionGeometry& detector : loadDetectors(path))
+    {
+      names.push_back(detector.name());
+    }
+  }
+  catch (const std::exception&)
+  {
+  }
+  return names;
+}
+
 /// What can be said of the setup that came of it, if it is one.
-void checkSetup(const std::string& path)
+/// @param point that all views see
+void checkSetup(const std::string& path, const std::optional<Eigen::Vector3d>& point)
 {
   TreatmentSetup setup;
   try
@@ -87,9 +105,17 @@ void checkSetup(const std::string& path)
     std::cout << "not yet a whole setup: " << error.what() << "\n";
     return;
   }
-  for (const Finding& finding : checkTargetSeen(setup))
+  const std::vector<Finding> findings = checkRoom(setup);
+  for (const Finding& finding : findings)
   {
     std::cout << lineOf(finding) << "\n";
+  }
+  if (!findings.empty() && point)
+  {
+    const Eigen::Vector3d translation = *point - setup.room_from_patient.linear() * setup.targetCentre();
+    const Eigen::IOFormat list(7, Eigen::DontAlignCols, ", ", ", ", "", "", "[", "]");
+    std::cout << "initial_pose with translation_mm: " << translation.format(list)
+              << " puts the target where all views see it\n";
   }
 }
 
@@ -102,13 +128,15 @@ int importDetectors(const po::variables_map& arguments)
   {
     throw std::invalid_argument("--views is missing, expected the files to import");
   }
-  const ImportedGeometry imported = importGeometry(files, optionsOf(arguments));
+  GeometryImportOptions options = optionsOf(arguments);
+  options.default_names = into.empty() ? std::vector<std::string>() : namesIn(into);
+  const ImportedGeometry imported = importGeometry(files, options);
   writeDetectors(imported.detectors, out, into);
   for (const std::string& remark : imported.remarks)
   {
     std::cout << remark << "\n";
   }
-  checkSetup(out);
+  checkSetup(out, imported.point);
   std::cout << imported.detectors.size() << " detectors written to " << out << std::endl;
   return 0;
 }
@@ -138,7 +166,7 @@ int main(int argc, char** argv)
       "a room point that all views see [mm]; default: where the rays through their middles meet")(
       "projections", po::value<std::vector<int>>()->multitoken(), "of an RTK file, from 0")(
       "names", po::value<Texts>()->multitoken(),
-      "of the detectors; default: the file's, or detector_a, detector_b ...")(
+      "of the detectors; default: the file's, those of --into, or detector_a, detector_b ...")(
       "flip_rows", po::value<Texts>()->multitoken(), "detectors whose images are turned upside down against the files")(
       "flip_columns", po::value<Texts>()->multitoken(),
       "detectors whose images are turned left to right against the files");

@@ -86,7 +86,7 @@ int showSetup(const po::variables_map& arguments)
 
   SetupPictureContent content;
   content.title = setup_path;
-  for (const Finding& finding : checkTargetSeen(setup))
+  for (const Finding& finding : checkRoom(setup))
   {
     content.faults.push_back(lineOf(finding));
   }

@@ -465,7 +465,7 @@ TEST(AlignSequence, endsOnBadInput)
 std::string mayaCam(const std::string& rotation, double z)
 {
   std::ostringstream text;
-  text << "image size\n8,6\n\ncamera matrix\n2000,0,3.5\n0,2000,2.5\n0,0,1\n\nrotation\n"
+  text << "image size\n8,6\n\ncamera matrix\n200,0,3.5\n0,200,2.5\n0,0,1\n\nrotation\n"
        << rotation << "\n\ntranslation\n0\n0\n"
        << z << "\n";
   return text.str();
@@ -480,7 +480,7 @@ TEST(ImportGeometry, keepsTheRestOfASequence)
   const std::string views = " --views " + folder.file("a.txt") + ' ' + folder.file("b.txt");
   const std::string out = folder.file("out.yaml");
   const CommandResult result =
-      run("import_geometry " + out + views + " --pitch 0.5 --into " + folder.file("sequence.yaml"));
+      run("import_geometry " + out + views + " --pitch 5 --into " + folder.file("sequence.yaml"));
   EXPECT_EQ(0, result.status) << result.output;
   EXPECT_TRUE(contains(result.output, "all views see [0, 0, 0] mm")) << result.output;
   EXPECT_TRUE(contains(result.output, "2 detectors written")) << result.output;
@@ -488,6 +488,15 @@ TEST(ImportGeometry, keepsTheRestOfASequence)
   EXPECT_EQ(10.0, setup.room_from_patient.translation().x());
   EXPECT_LT((setup.detectors[1].source() - Eigen::Vector3d(0, 900, 0)).norm(), 1e-9);
   EXPECT_EQ("detector_b", setup.detectors[1].name());
+  // The setup's own names are kept.
+  folder.write("named.yaml",
+               "detectors:\n"
+               "- {name: cam1, image_size: [8, 6], pixel_pitch_mm: [0.5, 0.25], source_mm: [0, 0, 600],\n"
+               "   origin_mm: [-1.5, 0.5, -400], x_direction: [1, 0, 0], y_direction: [0, -1, 0]}\n"
+               "- {name: cam2, image_size: [8, 6], pixel_pitch_mm: [0.5, 0.25], source_mm: [0, 600, 0],\n"
+               "   origin_mm: [-1.5, -400, -0.5], x_direction: [1, 0, 0], y_direction: [0, 0, 1]}\n");
+  EXPECT_EQ(0, run("import_geometry " + out + views + " --pitch 5 --into " + folder.file("named.yaml")).status);
+  EXPECT_EQ("cam2", loadDetectors(out)[1].name());
 
   // Alone it is no setup yet, and says so.
   const CommandResult alone = run("import_geometry " + out + views + " --sdd 1000 --names left right");
@@ -510,10 +519,11 @@ TEST(ImportGeometry, tellsOfAnInvertedInitialPose)
                "min: [-10.5, -20.5, -30.5], max: [-9.5, -19.5, -29.5]");
   folder.write("sequence.yaml", text);
   const CommandResult result = run("import_geometry " + folder.file("out.yaml") + " --views " + folder.file("a.txt") +
-                                   ' ' + folder.file("b.txt") + " --pitch 0.5 --into " + folder.file("sequence.yaml"));
+                                   ' ' + folder.file("b.txt") + " --pitch 5 --into " + folder.file("sequence.yaml"));
   EXPECT_EQ(0, result.status) << result.output;
   EXPECT_TRUE(contains(result.output, "target_outside_image: detector_a")) << result.output;
   EXPECT_TRUE(contains(result.output, "by the inverse of it (it maps room to patient)")) << result.output;
+  EXPECT_TRUE(contains(result.output, "translation_mm: [10, 20, 30] puts the target where")) << result.output;
 }
 
 TEST(ImportGeometry, endsOnBadInput)
@@ -534,14 +544,14 @@ TEST(ImportGeometry, endsOnBadInput)
   const std::string views = "--views " + folder.file("a.txt") + ' ' + folder.file("b.txt");
   fails("", "--views is missing");
   fails(views, "--pitch MM or --sdd MM");
-  fails(views + " --pitch 0.5 --unit inch", "--unit is inch");
+  fails(views + " --pitch 5 --unit inch", "--unit is inch");
   fails(views + " --pitch 1 2 3", "--pitch has 3");
-  fails(views + " --pitch -0.5", "");
+  fails(views + " --pitch -5", "");
   fails(views + " --sdd nan", "nan");
-  fails(views + " --pitch 0.5 --point 1 2", "--point has 2");
-  fails(views + " --pitch 0.5 --image_size 8", "--image_size has 1");
-  fails(views + " --pitch 0.5 --into " + folder.file("none.yaml"), "none.yaml");
-  fails("--views " + folder.file("none.txt") + " --pitch 0.5", "none.txt");
+  fails(views + " --pitch 5 --point 1 2", "--point has 2");
+  fails(views + " --pitch 5 --image_size 8", "--image_size has 1");
+  fails(views + " --pitch 5 --into " + folder.file("none.yaml"), "none.yaml");
+  fails("--views " + folder.file("none.txt") + " --pitch 5", "none.txt");
 }
 
 TEST(ShowSetup, drawsSetupsAndSequences)

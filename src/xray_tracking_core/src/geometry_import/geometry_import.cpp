@@ -18,9 +18,13 @@ namespace xray_tracking
 namespace
 {
 constexpr std::uintmax_t kMaxTextSize = 64U << 20U;
-// From the source to what all views see [mm]: from a bench of micro-CT to a room of its own.
+// mm. From the source to the patient, to the panel, and the panel's sides: a bench for hands to a room of its own.
 constexpr double kNearest = 200.0;
 constexpr double kFarthest = 10000.0;
+constexpr double kFarthestPanel = 15000.0;
+constexpr double kSmallest = 10.0;
+constexpr double kLeastDistance = 0.01;  // in metres by mistake, it shall be told
+constexpr double kLargest = 2000.0;
 /// Of a panel that has none; the pixels' edges move by it at most.
 constexpr double kMaxSkew = 0.5;     // px
 constexpr double kTellSkew = 1e-3;   // px
@@ -216,9 +220,10 @@ void nameViews(std::vector<ImportedView>& views, const GeometryImportOptions& op
   for (std::size_t n = 0; n < views.size(); ++n)
   {
     ImportedView& view = views[n];
-    view.name = !options.names.empty() ? options.names[n]
-                : !view.name.empty()   ? view.name
-                                       : std::string("detector_") + static_cast<char>('a' + n);
+    view.name = !options.names.empty()                         ? options.names[n]
+                : !view.name.empty()                           ? view.name
+                : options.default_names.size() == views.size() ? options.default_names[n]
+                                                               : std::string("detector_") + static_cast<char>('a' + n);
     if (!names.insert(view.name).second)
     {
       fail(view.where, "is a second detector '" + view.name + "': expected names that differ; give --names");
@@ -308,21 +313,6 @@ std::optional<Eigen::Vector3d> pointOf(const std::vector<ImportedView>& views, c
   return point;
 }
 
-/// As one would say it of a distance that no room has.
-std::string unitHint(double distance, bool has_unit)
-{
-  for (const auto& [factor, unit, name] : { std::make_tuple(1000.0, "m", "metres"), { 10.0, "cm", "centimetres" } })
-  {
-    // Rooms, not benches.
-    if (distance * factor >= 300.0 && distance * factor <= 6000.0)
-    {
-      return std::string(". Are the coordinates in ") + name + "? Then " +
-             (has_unit ? std::string("give --unit ") + unit : sentence("multiply them by ", factor));
-    }
-  }
-  return has_unit ? ". If they are right, give --unit mm" : "";
-}
-
 double sourceToDetectorOf(const ImportedView& view, const Camera& camera, const GeometryImportOptions& options)
 {
   if (view.pixel_pitch || options.pixel_pitch)
@@ -347,44 +337,22 @@ double sourceToDetectorOf(const ImportedView& view, const Camera& camera, const 
       "do that puts the panel beyond the patient: projections are the same");
 }
 
-void checkRoom(const ImportedView& view, const Camera& camera, double sdd, double depth,
-               const GeometryImportOptions& options)
-{
-  if (options.unit)
-  {
-    return;  // says that they are right
-  }
-  if (!(depth >= kNearest && depth <= kFarthest))
-  {
-    fail(view.where,
-         sentence("the source is at ", placeOf(camera.source), ", ", depth, " mm from what all views see: expected ",
-                  kNearest, " to ", kFarthest, " mm", unitHint(depth, !view.is_in_mm)));
-  }
-  if (!(sdd > depth))
-  {
-    fail(view.where,
-         sentence("the panel is ", sdd, " mm from the source, nearer than what all views see, at ", depth,
-                  " mm: expected it beyond the patient; ",
-                  view.pixel_pitch ? "are source and panel swapped?"
-                                   : sentence("give a pitch of more than ", depth / camera.focal_length.x(), " mm")));
-  }
-}
-
 /// What a view's panel is, in words.
 std::string remarkOf(const ImportedView& view, const ProjectionGeometry& detector, const Camera& camera,
-                     const std::optional<double>& depth)
+                     const std::optional<Eigen::Vector3d>& point)
 {
   std::ostringstream text;
   text.precision(6);
   text << detector.name() << " (" << view.where << "): source " << placeOf(detector.source()) << " mm, panel at "
        << detector.sourceToDetector() << " mm with a pitch of " << detector.pixelPitch().x() << " x "
-       << detector.pixelPitch().y() << " mm, principal point " << listOf(detector.foot()) << " px of "
-       << detector.imageSize().x() << " x " << detector.imageSize().y();
-  if (depth)
+       << detector.pixelPitch().y() << " mm (" << detector.imageSize().x() * detector.pixelPitch().x() << " x "
+       << detector.imageSize().y() * detector.pixelPitch().y() << " mm), principal point " << listOf(detector.foot())
+       << " px of " << detector.imageSize().x() << " x " << detector.imageSize().y();
+  if (point)
   {
-    text << ", what all views see at " << *depth << " mm (magnification " << detector.sourceToDetector() / *depth
-         << ")";
-    if (detector.sourceToDetector() > kFarSide * *depth)
+    text << ", what all views see at " << detector.depth(*point) << " mm (magnification "
+         << detector.magnification(*point) << ")";
+    if (detector.magnification(*point) > kFarSide)
     {
       text << "; that is nearer to the source than to the panel: are they swapped?";
     }
@@ -416,6 +384,44 @@ std::string leftHanded(const std::vector<const ImportedView*>& views, const std:
 }
 }  // namespace
 
+std::string implausibility(const ProjectionGeometry& detector, const Eigen::Vector3d& patient)
+{
+  const double depth = detector.depth(patient);
+  const double sdd = detector.sourceToDetector();
+  const Eigen::Array2d sides = detector.imageSize().cast<double>().cwiseProduct(detector.pixelPitch());
+  const auto unit = [](double distance)
+  {
+    const auto is_room = [&](double factor) { return distance * factor >= 300.0 && distance * factor <= 6000.0; };
+    return is_room(1000.0) ? "; are coordinates in metres?" : is_room(10.0) ? "; are coordinates in centimetres?" : "";
+  };
+  if (!(sdd >= kNearest && sdd <= kFarthestPanel && sides.minCoeff() >= kSmallest && sides.maxCoeff() <= kLargest))
+  {
+    const std::string what =
+        sentence("the panel is ", sides.x(), " x ", sides.y(), " mm, ", sdd, " mm from the source: expected sides of ",
+                 kSmallest, " to ", kLargest, " mm, ", kNearest, " to ", kFarthestPanel, " mm from it", unit(sdd));
+    return what + (sdd > kFarthestPanel || sides.maxCoeff() > kLargest ? "; is the pitch in mm?" : "");
+  }
+  if (!(depth > 0.0))
+  {
+    return sentence("the source, at ", placeOf(detector.source()), " mm, is ", -depth,
+                    " mm beyond the patient, as the panel has it: expected it to face him; are source and panel "
+                    "swapped, or is the patient elsewhere?");
+  }
+  if (!(depth >= kNearest && depth <= kFarthest))
+  {
+    return sentence("the source, at ", placeOf(detector.source()), " mm, is ", depth, " mm from the patient: expected ",
+                    kNearest, " to ", kFarthest, " mm", unit(depth));
+  }
+  if (!(sdd > depth))
+  {
+    return sentence("the panel is ", sdd, " mm from the source, nearer than the patient, at ", depth,
+                    " mm: expected it beyond him; are source and panel swapped? Or is the pitch too small: with these "
+                    "focal lengths more than ",
+                    depth / detector.focalLength().x(), " mm?");
+  }
+  return "";
+}
+
 ImportedView viewOf(const DetectorDescription& description, const std::string& where)
 {
   ImportedView view;
@@ -430,10 +436,10 @@ ImportedView viewOf(const DetectorDescription& description, const std::string& w
     normal = -normal;
   }
   const double sdd = origin.dot(normal);
-  if (!(sdd >= 1.0))
+  if (!(sdd >= kLeastDistance))
   {
     fail(where, "the source is at " + placeOf(description.source) + ", " + sentence(sdd) +
-                    " mm from the panel's plane: expected 1 mm or more");
+                    " mm from the panel's plane: expected a distance");
   }
   const Eigen::Vector2d foot =
       -Eigen::Vector2d(origin.dot(description.x_direction), origin.dot(description.y_direction))
@@ -538,19 +544,20 @@ ImportedGeometry importGeometry(const std::vector<std::string>& files, const Geo
     const ImportedView& view = views[n];
     const Camera& camera = cameras[n];
     const double sdd = sourceToDetectorOf(view, camera, options);
-    std::optional<double> depth;
-    if (point)
-    {
-      depth = camera.axes.row(2).dot(*point - camera.source);
-      checkRoom(view, camera, sdd, *depth, options);
-    }
     RigidTransform room_from_optical = RigidTransform::Identity();
     room_from_optical.linear() = camera.axes.transpose();
     room_from_optical.translation() = camera.source;
     imported.detectors.push_back(ProjectionGeometry::fromIntrinsics(view.name, view.image_size, camera.focal_length,
                                                                     camera.foot, room_from_optical, sdd));
-    imported.remarks.push_back(remarkOf(view, imported.detectors.back(), camera, depth));
+    const ProjectionGeometry& detector = imported.detectors.back();
+    const std::string doubt = point ? implausibility(detector, *point) : "";
+    if (!doubt.empty() && !options.unit)  // which says that they are right
+    {
+      fail(view.where, doubt + (view.is_in_mm ? "" : ". Then give --unit m or cm; if they are right, --unit mm"));
+    }
+    imported.remarks.push_back(remarkOf(view, detector, camera, point));
   }
+  imported.point = point;
   imported.remarks.push_back(point ? "all views see " + placeOf(*point) + " mm"
                                    : "no room point is in the middle of all images: do the views belong together?");
   return imported;

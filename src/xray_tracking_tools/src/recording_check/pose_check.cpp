@@ -69,7 +69,7 @@ public:
 
   std::vector<Finding> run(const std::optional<RigidTransform>& gold_standard)
   {
-    findings_ = checkTargetSeen(setup_);
+    findings_ = checkRoom(setup_);
     const bool seen = targetShare(setup_, setup_.room_from_patient) > 0.0;
     if (gold_standard)
     {

@@ -4,6 +4,8 @@
 #include <cmath>
 #include <cstdio>
 
+#include "xray_tracking_core/geometry/geometry_import.h"
+
 namespace xray_tracking
 {
 namespace
@@ -94,7 +96,7 @@ double targetShare(const TreatmentSetup& setup, const RigidTransform& room_from_
   return least;
 }
 
-std::vector<Finding> checkTargetSeen(const TreatmentSetup& setup)
+std::vector<Finding> checkRoom(const TreatmentSetup& setup)
 {
   std::string fits;
   if (targetShare(setup, setup.room_from_patient) < kSeen)
@@ -112,8 +114,14 @@ std::vector<Finding> checkTargetSeen(const TreatmentSetup& setup)
   {
     bool in_front = true;
     const double share = shareOf(setup, setup.room_from_patient, detector, in_front);
+    const std::string doubt = implausibility(detector, setup.room_from_patient * setup.targetCentre());
     if (share >= kSeen)
     {
+      if (!doubt.empty())
+      {
+        findings.push_back({ "geometry_implausible", Severity::WARNING, detector.name(), doubt,
+                             "a room for patients, in mm", "look at it by show_setup" });
+      }
       continue;
     }
     char text[80];
@@ -122,6 +130,7 @@ std::vector<Finding> checkTargetSeen(const TreatmentSetup& setup)
                          detector.name() + ", target_box_mm",
                          in_front ? text : "is behind the source at the initial pose", "all of it",
                          "look at initial_pose, target_box_mm (patient frame, LPS) and the detector's geometry" +
+                             (doubt.empty() ? "" : ": " + doubt) +
                              (fits.empty() ? "" : "; of the pose, all detectors would see it by " + fits) });
   }
   return findings;

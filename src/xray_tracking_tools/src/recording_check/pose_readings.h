@@ -34,6 +34,7 @@ std::vector<PoseReading> otherReadings(const TreatmentSetup& setup);
 /// behind a source.
 double targetShare(const TreatmentSetup& setup, const RigidTransform& room_from_patient);
 
-/// Detectors that do not see the target at the initial pose, and which of the other readings all of them would see.
-std::vector<Finding> checkTargetSeen(const TreatmentSetup& setup);
+/// Detectors that no room has, those that do not see the target at the initial pose, and which of its other readings
+/// all of them would see.
+std::vector<Finding> checkRoom(const TreatmentSetup& setup);
 }  // namespace xray_tracking

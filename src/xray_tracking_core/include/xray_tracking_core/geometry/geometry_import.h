@@ -21,8 +21,10 @@ struct GeometryImportOptions
   std::optional<double> unit;
   /// A room point that all views see [mm]; absent: the one nearest to the rays through their images' middles.
   std::optional<Eigen::Vector3d> point;
-  std::vector<int> projections;        ///< of an RTK file, from 0
-  std::vector<std::string> names;      ///< of the detectors; absent: the file's, else detector_a, detector_b ...
+  std::vector<int> projections;    ///< of an RTK file, from 0
+  std::vector<std::string> names;  ///< of the detectors; absent: the file's
+  /// Where the file has none either, if these are as many as the views; else detector_a, detector_b ...
+  std::vector<std::string> default_names;
   std::set<std::string> flip_rows;     ///< detectors whose images were turned upside down after the file was written
   std::set<std::string> flip_columns;  ///< the same, left to right
 };
@@ -31,7 +33,15 @@ struct ImportedGeometry
 {
   std::vector<ProjectionGeometry> detectors;
   std::vector<std::string> remarks;  ///< what was found and chosen, a line for each detector or more
+  /// A room point that all views see [mm]; nothing if none is known.
+  std::optional<Eigen::Vector3d> point;
 };
+
+/// What no X-ray room has, in words with what may be the reason: a source that is less than 200 mm or more than 10 m
+/// from the patient, a panel that is nearer or beyond 15 m, a panel smaller than 10 mm or larger than 2 m. Empty if
+/// there is nothing of it.
+/// @param patient a room point of his [mm]
+std::string implausibility(const ProjectionGeometry& detector, const Eigen::Vector3d& patient);
 
 /// Reads detectors from what other programs write, one or more files of one form, which is recognised: MayaCam 2.0, 3 x
 /// 4 projection matrices as text, RTK's ThreeDCircularProjectionGeometry, DICOM X-ray and RT images, or a YAML file
