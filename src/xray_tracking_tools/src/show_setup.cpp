@@ -4,6 +4,7 @@
 #include <opencv2/imgcodecs.hpp>
 
 #include "recording_check/pose_readings.h"
+#include "setup_picture/likeness.h"
 #include "setup_picture/setup_picture.h"
 #include "xray_tracking_core/projection/shear_warp_renderer.h"
 #include "xray_tracking_core/sequence/sequence.h"
@@ -47,6 +48,12 @@ void addCt(const TreatmentSetup& setup, SetupPictureContent& content)
   {
     content.drrs.emplace_back();
     renderer.render(detector, setup.room_from_patient, content.drrs.back());
+  }
+  if (!content.xrays.empty())
+  {
+    const Likeness likeness = likenessOf(setup, renderer, content.xrays);
+    content.likeness = likeness.views;
+    content.faults.insert(content.faults.end(), likeness.words.begin(), likeness.words.end());
   }
 }
 

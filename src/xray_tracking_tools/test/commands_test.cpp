@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <cmath>
 #include <cstdio>
 #include <functional>
@@ -575,6 +576,42 @@ TEST(ShowSetup, drawsSetupsAndSequences)
   result = run("show_setup " + folder.file("") + ' ' + out);
   EXPECT_EQ(0, result.status) << result.output;
   EXPECT_FALSE(cv::imread(out).empty());
+}
+
+TEST(ShowSetup, saysWhatIsTurnedOrMirrored)
+{
+  const TemporaryFolder folder;
+  const RigidTransform pose = writePhantomSequence(folder);
+  const std::string path = folder.file("sequence.yaml"), out = folder.file("picture.png");
+  TreatmentSetup setup = loadTreatmentSetup(path);
+  const std::string images = " --images " + folder.file("detector_a.png") + ' ' + folder.file("detector_b.png");
+  const auto shown = [&](const RigidTransform& room_from_patient, const std::string& of)
+  {
+    setup.room_from_patient = room_from_patient;
+    saveTreatmentSetup(setup, folder.file("setup.yaml"));
+    const CommandResult result = run("show_setup " + folder.file("setup.yaml") + ' ' + out + of);
+    EXPECT_EQ(0, result.status) << result.output;
+    return result.output;
+  };
+  // The first pose is right: nothing but the two lines of progress.
+  const std::string right = shown(pose, images);
+  EXPECT_EQ(2, std::count(right.begin(), right.end(), '\n')) << right;
+
+  const Eigen::Translation3d centre(setup.targetCentre());
+  const RigidTransform prone = pose * centre * Eigen::AngleAxisd(M_PI, Eigen::Vector3d::UnitZ()) * centre.inverse();
+  EXPECT_TRUE(contains(shown(prone, images), "turned by 180 degrees about his head-feet axis")) << shown(prone, images);
+  EXPECT_TRUE(contains(shown(pose.inverse(), images), "the inverse of it")) << shown(pose.inverse(), images);
+  RigidTransform off = pose;
+  off.translation().x() += 16.0;
+  EXPECT_TRUE(contains(shown(off, images), "16 mm (detector_a)")) << shown(off, images);
+
+  cv::Mat mirrored;
+  cv::flip(cv::imread(folder.file("detector_b.png"), cv::IMREAD_UNCHANGED), mirrored, 1);
+  cv::imwrite(folder.file("mirrored.png"), mirrored);
+  const std::string told =
+      shown(pose, " --images " + folder.file("detector_a.png") + ' ' + folder.file("mirrored.png"));
+  EXPECT_TRUE(contains(told, "the image of detector_b looks like its DRR when it is turned left to right")) << told;
+  EXPECT_FALSE(contains(told, "the image of detector_a")) << told;
 }
 
 TEST(ShowSetup, endsOnBadInput)

@@ -119,8 +119,15 @@ private:
     cv::circle(canvas_, cv::Point(place(corners[0])), 4, colour, cv::FILLED, cv::LINE_AA);  // pixel (0, 0)
     const cv::Point2d source = place(detector.source());
     cv::circle(canvas_, cv::Point(source), 6, colour, cv::FILLED, cv::LINE_AA);
-    label(detector.name() + " source", source, colour);
-    label(detector.name(), 0.5 * (place(corners[0]) + place(corners[2])), colour);
+    if (setup_.detectors.size() <= 3)
+    {
+      label(detector.name() + " source", source, colour);
+      label(detector.name(), 0.5 * (place(corners[0]) + place(corners[2])), colour);
+    }
+    else if (&detector == &setup_.detectors.front() || &detector == &setup_.detectors.back())
+    {
+      label(detector.name(), source, colour);
+    }
   }
 
   void drawPatient()

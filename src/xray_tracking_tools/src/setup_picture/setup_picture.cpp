@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdio>
 #include <sstream>
 
 #include <opencv2/imgproc.hpp>
@@ -89,7 +90,8 @@ public:
 
   int height() const { return height_ + 2 * kHeading; }
 
-  cv::Mat draw(const cv::Mat& xray, const cv::Mat& drr)
+  /// @param likeness in words; may be empty
+  cv::Mat draw(const cv::Mat& xray, const cv::Mat& drr, const std::string& likeness)
   {
     cv::Mat block(height(), 3 * width_ + 2 * kGap, CV_8UC3, cv::Scalar::all(255));
     drawText(block, heading(), { 4, kHeading - 8 }, colour_, 0.5, 1);
@@ -97,19 +99,25 @@ public:
     const cv::Mat of_drr = drr.empty() ? cv::Mat() : greyOf(drr);
     const cv::Rect whole(0, 0, detector_.imageSize().x(), detector_.imageSize().y());
     put(block, 0, "X-ray", of_xray, "no image is given", whole);
-    put(block, 1, "DRR at the initial pose", of_drr, "no CT", whole);
+    put(block, 1, isSmall() ? "DRR" : "DRR at the initial pose", of_drr, "no CT", whole);
     cv::Mat both;
     if (!of_xray.empty() && !of_drr.empty())
     {
       cv::merge(std::vector<cv::Mat>{ of_drr, of_drr, of_xray }, both);
     }
-    put(block, 2, "both: red X-ray, cyan DRR, grey where they agree", both, "", aroundTarget());
+    put(block, 2, (isSmall() ? "both" : "both: X-ray red, DRR cyan") + likeness, both, "", aroundTarget());
     return block;
   }
 
 private:
+  bool isSmall() const { return width_ < 300; }
+
   std::string heading() const
   {
+    if (isSmall())
+    {
+      return detector_.name();
+    }
     const Eigen::Vector3d target = setup_.room_from_patient * setup_.targetCentre();
     std::ostringstream text;
     text.precision(4);
@@ -167,7 +175,7 @@ private:
     cv::Mat picture = cell(cv::Rect({ (width_ - size.width) / 2, (height_ - size.height) / 2 }, size));
     if (image.empty())
     {
-      drawText(picture, otherwise, { 20, size.height / 2 }, kInk, 0.5);
+      drawText(picture, otherwise, { 20, size.height * 3 / 4 }, kInk, 0.5);
     }
     else
     {
@@ -213,8 +221,8 @@ private:
     if (detector_.depth(target) > 0.0)
     {
       const double px_per_mm = window.scale * detector_.focalLength().x() / detector_.depth(target);
-      drawScale(picture, { 10, picture.rows - 12 }, px_per_mm, roundLength(0.3 * picture.cols / px_per_mm), "at target",
-                { 0, 0, 0 });
+      drawScale(picture, { 10, picture.rows - 12 }, px_per_mm, roundLength(0.3 * picture.cols / px_per_mm),
+                isSmall() ? "" : "at target", { 0, 0, 0 });
     }
     if (projectedTargetRegion(setup_, detector_).empty())
     {
@@ -284,7 +292,8 @@ cv::Mat drawSetup(const TreatmentSetup& setup, const SetupPictureContent& conten
 
   cv::Mat picture(height, kWidth, CV_8UC3, cv::Scalar::all(255));
   drawText(picture, content.title, { kGap, kHeading - 8 }, kInk, 0.55);
-  const std::string legend = "orange: target box; +: the room's origin; dot on a panel: pixel (0, 0)";
+  const std::string legend =
+      "orange: target box; +: the room's origin; dot on a panel: pixel (0, 0); both: grey where they agree";
   drawText(picture, legend,
            { kWidth - textWidth(legend) - kGap, kHeading + kLine * static_cast<int>(faults.size()) - 8 + kLine }, kInk);
   int y = kHeading;
@@ -306,8 +315,13 @@ cv::Mat drawSetup(const TreatmentSetup& setup, const SetupPictureContent& conten
   y += kRoomHeight + kGap;
   for (std::size_t d = 0; d < views.size(); ++d)
   {
+    char likeness[40] = "";
+    if (d < content.likeness.size())
+    {
+      std::snprintf(likeness, sizeof(likeness), "; correlation %.2f", content.likeness[d]);
+    }
     const cv::Mat block = views[d].draw(d < content.xrays.size() ? content.xrays[d] : cv::Mat(),
-                                        d < content.drrs.size() ? content.drrs[d] : cv::Mat());
+                                        d < content.drrs.size() ? content.drrs[d] : cv::Mat(), likeness);
     const int column = static_cast<int>(d) % across;
     block.copyTo(picture(cv::Rect({ kGap + column * (3 * width + 5 * kGap), y }, block.size())));
     if (column == across - 1)

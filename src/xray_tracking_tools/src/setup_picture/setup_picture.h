@@ -16,6 +16,7 @@ struct SetupPictureContent
   std::vector<std::string> faults;          ///< in words, a line each or more
   std::vector<cv::Mat> xrays;               ///< of the setup's detectors, as their files have them
   std::vector<cv::Mat> drrs;                ///< line integrals at the initial pose, CV_32FC1
+  std::vector<double> likeness;             ///< of X-rays and DRRs
   std::vector<Eigen::Vector3d> ct_corners;  ///< eight, bit n of the index: the upper end of axis n; patient frame [mm]
 };
 
