@@ -10,7 +10,7 @@
 #include "shared_data.h"
 #include "test_helpers.h"
 #include "xray_tracking_core/geometry/geometry_import.h"
-#include "xray_tracking_core/sequence/treatment_setup.h"
+#include "xray_tracking_core/sequence/sequence.h"
 
 namespace xray_tracking
 {
@@ -646,8 +646,7 @@ TEST_F(GeometryImport, detectorsAsTheyAre)
 TEST_F(GeometryImport, roundTripThroughASetupWhoseOtherKeysAreKept)
 {
   const TestCamera a(20.0), b(110.0);
-  const auto imported =
-      importGeometry({ write("a.txt", a.mayaCam()), write("b.txt", b.mayaCam()) }, withPitch()).detectors;
+  const auto imported = importGeometry({ write("a.txt", a.mayaCam()), write("b.txt", b.mayaCam()) }, withPitch());
   std::filesystem::create_directories(folder_.path("other"));
   const std::string setup = write("setup.yaml",
                                   "ct: ct.nrrd\ncomment: kept\ndetectors: old.yaml\n"
@@ -661,14 +660,69 @@ TEST_F(GeometryImport, roundTripThroughASetupWhoseOtherKeysAreKept)
   for (std::size_t n = 0; n < 2; ++n)
   {
     expectSame(
-        read.detectors[n], [&](const Eigen::Vector3d& point) { return imported[n].project(point); }, 1e-9);
+        read.detectors[n], [&](const Eigen::Vector3d& point) { return imported.detectors[n].project(point); }, 1e-9);
   }
   std::stringstream text;
   text << std::ifstream(out).rdbuf();
   EXPECT_NE(std::string::npos, text.str().find("comment: kept"));
   // What was written can be imported again.
   const auto again = importGeometry({ out }, {}).detectors;
-  EXPECT_LT((again[1].origin() - imported[1].origin()).norm(), 1e-9);
+  EXPECT_LT((again[1].origin() - imported.detectors[1].origin()).norm(), 1e-9);
+}
+
+/// Where OpenCV's model puts a point of the ideal image.
+Eigen::Vector2d distorted(const TestCamera& camera, const std::vector<double>& d, const Eigen::Vector2d& pixel)
+{
+  const double x = (pixel.x() - camera.camera(0, 2)) / camera.camera(0, 0);
+  const double y = (pixel.y() - camera.camera(1, 2)) / camera.camera(1, 1);
+  const double r2 = x * x + y * y, radial = 1.0 + d[0] * r2 + d[1] * r2 * r2;
+  return { camera.camera(0, 0) * (x * radial + 2.0 * d[2] * x * y + d[3] * (r2 + 2.0 * x * x)) + camera.camera(0, 2),
+           camera.camera(1, 1) * (y * radial + d[2] * (r2 + 2.0 * y * y) + 2.0 * d[3] * x * y) + camera.camera(1, 2) };
+}
+
+TEST_F(GeometryImport, distortionIsCarriedAndFlippedWithTheImage)
+{
+  const TestCamera a(20.0), b(110.0);
+  const std::vector<double> d{ 0.9, -0.3, 0.04, -0.06 };
+  const std::string with = a.mayaCam() + "\ndistortion\n0.9,-0.3,0.04,-0.06\n";
+  const std::vector<std::string> files{ write("a.txt", with), write("b.txt", b.mayaCam() + "distortion\n0,0,0,0,0\n") };
+  const std::string out = folder_.path("out.yaml");
+  writeDetectors(importGeometry(files, withPitch()), out, "");
+  // Both flips: turned by half, which is right-handed; of the list that was written.
+  GeometryImportOptions both;
+  both.flip_columns = both.flip_rows = { "detector_a" };
+  const std::string turned_out = folder_.path("turned.yaml");
+  writeDetectors(importGeometry({ out }, both), turned_out, "");
+  EXPECT_TRUE(loadDistortions(out, loadDetectors(out))[1].none());
+  for (const auto& [file, is_turned] : { std::make_pair(out, false), std::make_pair(turned_out, true) })
+  {
+    // A ramp in u, and one in v, of the distorted image: undone, a pixel has where it was.
+    cv::Mat u(600, 800, CV_16UC1), v(600, 800, CV_16UC1);
+    for (int row = 0; row < 600; ++row)
+    {
+      for (int column = 0; column < 800; ++column)
+      {
+        u.at<std::uint16_t>(row, column) = static_cast<std::uint16_t>(80 * column);
+        v.at<std::uint16_t>(row, column) = static_cast<std::uint16_t>(80 * row);
+      }
+    }
+    const LensDistortion distortion = loadDistortions(file, loadDetectors(file)).front();
+    const cv::Mat from_u = distortion.undo(u, IntensityModel::Kind::COUNTS);
+    const cv::Mat from_v = distortion.undo(v, IntensityModel::Kind::COUNTS);
+    for (const cv::Point& pixel : { cv::Point(100, 80), cv::Point(700, 500), cv::Point(150, 520), cv::Point(365, 331) })
+    {
+      const Eigen::Vector2d as_written =
+          is_turned ? Eigen::Vector2d(799.0 - pixel.x, 599.0 - pixel.y) : Eigen::Vector2d(pixel.x, pixel.y);
+      Eigen::Vector2d expected = distorted(a, d, as_written);
+      if (is_turned)
+      {
+        expected = Eigen::Vector2d(799.0, 599.0) - expected;
+      }
+      // Remapping is to a 32nd of a pixel.
+      EXPECT_NEAR(expected.x(), from_u.at<std::uint16_t>(pixel) / 80.0, 0.05) << pixel;
+      EXPECT_NEAR(expected.y(), from_v.at<std::uint16_t>(pixel) / 80.0, 0.05) << pixel;
+    }
+  }
 }
 
 /// Something wrong with a file, and what the message names.
@@ -750,7 +804,7 @@ std::vector<Flaw> flaws()
     { "mayaShortRow", replaced(maya, ",365.25", ""), withPitch(), { "file, line 4", "camera matrix has 8" } },
     { "mayaTwice", maya + maya, withPitch(), { "file, line 18", "second time" } },
     { "mayaUnknown", maya + "\nfocus\n1\n", withPitch(), { "file, line 19", "focus" } },
-    { "mayaDistorted", maya + "\ndistortion\n0.1,0,0,0,0\n", withPitch(), { "distortion", "undistorted" } },
+    { "mayaDistorted", maya + "\ndistortion\n0.1,0,0\n", withPitch(), { "file, line 19", "distortion has 3" } },
     { "mayaStretched", replaced(maya, "rotation\n0.9", "rotation\n1.9"), withPitch(), { "file, line 9", "identity" } },
     { "mayaSize", replaced(maya, "800,600", "800.5,600"), withPitch(), { "file, line 1", "800.5" } },
     { "mayaSizeZero", replaced(maya, "800,600", "0,600"), withPitch(), { "file, line 1", "image size is 0, 600" } },

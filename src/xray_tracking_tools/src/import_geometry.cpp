@@ -131,7 +131,7 @@ int importDetectors(const po::variables_map& arguments)
   GeometryImportOptions options = optionsOf(arguments);
   options.default_names = into.empty() ? std::vector<std::string>() : namesIn(into);
   const ImportedGeometry imported = importGeometry(files, options);
-  writeDetectors(imported.detectors, out, into);
+  writeDetectors(imported, out, into);
   for (const std::string& remark : imported.remarks)
   {
     std::cout << remark << "\n";

@@ -97,9 +97,11 @@ int showSetup(const po::variables_map& arguments)
   {
     content.faults.push_back(lineOf(finding));
   }
+  const std::vector<LensDistortion> distortions = loadDistortions(setup_path, setup.detectors);
   for (std::size_t d = 0; d < images.size(); ++d)
   {
-    content.xrays.push_back(readXrayImage(images[d], setup.detectors[d], setup.intensity));
+    const cv::Mat image = readXrayImage(images[d], setup.detectors[d], setup.intensity);
+    content.xrays.push_back(distortions[d].undo(image, setup.intensity.kind));
   }
   if (!setup.ct_path.empty())
   {

@@ -42,7 +42,8 @@ using Sections = std::map<std::string, Section>;
 
 Sections sectionsOf(const std::string& path, const std::string& text)
 {
-  static const std::vector<std::string> kKnown{ "image size", "camera matrix", "rotation", "translation" };
+  static const std::vector<std::string> kKnown{ "image size", "camera matrix", "rotation", "translation",
+                                                "distortion" };
   Sections sections;
   Section* current = nullptr;
   for (const TextLine& line : linesOf(path, text))
@@ -58,11 +59,11 @@ Sections sectionsOf(const std::string& path, const std::string& text)
       continue;
     }
     const std::string heading = lowerCase(line.text);
-    const bool is_distortion = heading.find("distort") != std::string::npos;
-    if (!is_distortion && std::find(kKnown.begin(), kKnown.end(), heading) == kKnown.end())
+    if (std::find(kKnown.begin(), kKnown.end(), heading) == kKnown.end())
     {
       fail(line.where,
-           quoted(line.text) + ": expected image size, camera matrix, rotation or translation, and numbers below");
+           quoted(line.text) +
+               ": expected image size, camera matrix, rotation, translation or distortion, and numbers below");
     }
     if (sections.count(heading) != 0)
     {
@@ -70,19 +71,6 @@ Sections sectionsOf(const std::string& path, const std::string& text)
     }
     current = &sections[heading];
     current->where = line.where;
-  }
-  for (const auto& [heading, section] : sections)
-  {
-    for (const std::vector<double>& row : section.rows)
-    {
-      if (heading.find("distort") != std::string::npos &&
-          std::any_of(row.begin(), row.end(), [](double value) { return value != 0.0; }))
-      {
-        fail(section.where, "\"" + heading +
-                                "\" has coefficients other than 0, which a flat panel cannot have: export undistorted "
-                                "images and the MayaCam that belongs to them");
-      }
-    }
   }
   return sections;
 }
@@ -113,6 +101,31 @@ Eigen::MatrixXd numbersOf(const Sections& sections, const std::string& path, con
   }
   return Eigen::Map<Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>>(values.data(), rows,
                                                                                             columns);
+}
+
+/// OpenCV's order. All zero: none.
+DistortionCoefficients distortionOf(const Sections& sections)
+{
+  DistortionCoefficients distortion;
+  const auto found = sections.find("distortion");
+  if (found == sections.end())
+  {
+    return distortion;
+  }
+  for (const std::vector<double>& row : found->second.rows)
+  {
+    distortion.values.insert(distortion.values.end(), row.begin(), row.end());
+  }
+  const std::size_t count = distortion.values.size();
+  if (count != 4 && count != 5 && count != 8)
+  {
+    fail(found->second.where,
+         "distortion has " + std::to_string(count) + " numbers: expected k1, k2, p1, p2, and perhaps k3, or k3 to k6");
+  }
+  const bool is_none =
+      std::all_of(distortion.values.begin(), distortion.values.end(), [](double value) { return value == 0.0; });
+  distortion.model = is_none ? "" : count == 8 ? "rational_polynomial" : "plumb_bob";
+  return distortion;
 }
 
 void checkCameraMatrix(const Eigen::Matrix3d& camera, const std::string& where)
@@ -230,6 +243,7 @@ std::vector<ImportedView> readMayaCam(const std::string& path, const std::string
   }
   view.matrix << camera * rotation, camera * translation;
   view.matrix.leftCols<3>() /= options.unit.value_or(1.0);
+  view.distortion = distortionOf(sections);
   view.hint =
       "if the images are right: is the rotation that of a camera with y up and z backwards (OpenGL)? Then change the "
       "sign of the second and third row of rotation and translation; or are rotation and translation the camera's pose "

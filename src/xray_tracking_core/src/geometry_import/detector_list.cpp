@@ -44,6 +44,17 @@ std::vector<ImportedView> readDetectorList(const std::string& path, const Geomet
             }
             ImportedView view = viewOf(description, item.where());
             view.name = description.name;
+            if (const auto distortion = item.find("distortion"))
+            {
+              view.distortion.model = distortion->get("model").text();
+              distortion->get("coefficients")
+                  .forEachItem([&](const YamlField& value)
+                               { view.distortion.values.push_back(value.number<double>()); });
+              if (view.distortion.values.size() < 4)
+              {
+                distortion->get("coefficients").fail("k1, k2, p1, p2 and more");
+              }
+            }
             view.is_in_mm = true;
             views.push_back(view);
           });

@@ -12,6 +12,7 @@
 
 #include "../sequence/detector_node.h"
 #include "imported_view.h"
+#include "xray_tracking_core/image/lens_distortion.h"
 
 namespace xray_tracking
 {
@@ -188,6 +189,15 @@ std::vector<ImportedView> readViews(const std::string& path, const GeometryImpor
                                 "with its preamble, or YAML with detectors");
 }
 
+/// The tangential coefficient (p1: 2, p2: 3) of an image that was flipped along its axis.
+void turnTangential(DistortionCoefficients& distortion, std::size_t index)
+{
+  if (!distortion.model.empty())
+  {
+    distortion.values[index] = -distortion.values[index];
+  }
+}
+
 /// The images were turned after the file was written.
 void flip(ImportedView& view, const GeometryImportOptions& options)
 {
@@ -196,11 +206,13 @@ void flip(ImportedView& view, const GeometryImportOptions& options)
   {
     turned(0, 0) = -1.0;
     turned(0, 2) = view.image_size.x() - 1.0;
+    turnTangential(view.distortion, 3);
   }
   if (options.flip_rows.count(view.name) != 0)
   {
     turned(1, 1) = -1.0;
     turned(1, 2) = view.image_size.y() - 1.0;
+    turnTangential(view.distortion, 2);
   }
   view.matrix = turned * view.matrix;
 }
@@ -555,6 +567,11 @@ ImportedGeometry importGeometry(const std::vector<std::string>& files, const Geo
     {
       fail(view.where, doubt + (view.is_in_mm ? "" : ". Then give --unit m or cm; if they are right, --unit mm"));
     }
+    imported.distortions.push_back(view.distortion);
+    if (!view.distortion.model.empty())
+    {
+      LensDistortion(view.distortion.model, view.distortion.values, detector);  // refuses what is of no use
+    }
     imported.remarks.push_back(remarkOf(view, detector, camera, point));
   }
   imported.point = point;
@@ -563,7 +580,7 @@ ImportedGeometry importGeometry(const std::vector<std::string>& files, const Geo
   return imported;
 }
 
-void writeDetectors(const std::vector<ProjectionGeometry>& detectors, const std::string& path, const std::string& into)
+void writeDetectors(const ImportedGeometry& geometry, const std::string& path, const std::string& into)
 {
   namespace fs = std::filesystem;
   YAML::Node root;
@@ -594,9 +611,16 @@ void writeDetectors(const std::vector<ProjectionGeometry>& detectors, const std:
     }
   }
   YAML::Node list;
-  for (const ProjectionGeometry& detector : detectors)
+  for (std::size_t n = 0; n < geometry.detectors.size(); ++n)
   {
-    list.push_back(detectorNode(detector));
+    YAML::Node detector = detectorNode(geometry.detectors[n]);
+    if (!geometry.distortions[n].model.empty())
+    {
+      detector["distortion"]["model"] = geometry.distortions[n].model;
+      detector["distortion"]["coefficients"] = geometry.distortions[n].values;
+      detector["distortion"].SetStyle(YAML::EmitterStyle::Flow);
+    }
+    list.push_back(detector);
   }
   root["detectors"] = list;
   std::ofstream file(path);

@@ -24,8 +24,9 @@ struct ImportedView
   bool front_is_known = false;
   bool is_in_mm = false;                       ///< by the definition of the form
   std::optional<Eigen::Vector2d> pixel_pitch;  ///< [mm], if the file has it
-  std::string flip;                            ///< "rows" or "columns": what mends a left-handed panel of this form
-  std::string hint;                            ///< what else may be wrong if the panel is left-handed, or nothing fits
+  DistortionCoefficients distortion;
+  std::string flip;  ///< "rows" or "columns": what mends a left-handed panel of this form
+  std::string hint;  ///< what else may be wrong if the panel is left-handed, or nothing fits
 };
 
 /// The file has panel and source: its view.

@@ -29,10 +29,18 @@ struct GeometryImportOptions
   std::set<std::string> flip_columns;  ///< the same, left to right
 };
 
+/// As a setup's `distortion` has it (LensDistortion); none if there is no model.
+struct DistortionCoefficients
+{
+  std::string model;
+  std::vector<double> values;
+};
+
 struct ImportedGeometry
 {
   std::vector<ProjectionGeometry> detectors;
-  std::vector<std::string> remarks;  ///< what was found and chosen, a line for each detector or more
+  std::vector<DistortionCoefficients> distortions;  ///< one for each
+  std::vector<std::string> remarks;                 ///< what was found and chosen, a line for each detector or more
   /// A room point that all views see [mm]; nothing if none is known.
   std::optional<Eigen::Vector3d> point;
 };
@@ -57,5 +65,5 @@ ImportedGeometry importGeometry(const std::vector<std::string>& files, const Geo
 /// @param into path of a setup or sequence.yaml whose other keys are kept, empty for none; the paths in it are made
 /// absolute if `path` is in another folder
 /// @throws std::runtime_error
-void writeDetectors(const std::vector<ProjectionGeometry>& detectors, const std::string& path, const std::string& into);
+void writeDetectors(const ImportedGeometry& geometry, const std::string& path, const std::string& into);
 }  // namespace xray_tracking
