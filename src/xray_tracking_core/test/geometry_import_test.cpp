@@ -1,5 +1,6 @@
 #include <cmath>
 #include <iomanip>
+#include <limits>
 #include <random>
 
 #include <gtest/gtest.h>
@@ -821,6 +822,7 @@ std::vector<Flaw> flaws()
     { "matrixTruncated", matrix.substr(0, matrix.rfind('\n', matrix.size() - 2)), ofMatrices(), { "8 numbers" } },
     { "matrixRow", "1 2 3 4 5\n" + matrix, ofMatrices(), { "file, line 1", "5 numbers" } },
     { "dlt", "1 2 3 4 5 6 7 8 9 10 11\n", ofMatrices(), { "DLT", "put 1 behind" } },
+    { "matrixTransposed", "1 2 3\n4 5 6\n7 8 9\n1 2 3\n", ofMatrices(), { "MATLAB", "3 lines of 4" } },
     { "matrixWord", "1 2 x 4\n" + matrix, ofMatrices(), { "file, line 1", "\"x\"" } },
     { "matrixZero", "0 0 0 0\n0 0 0 0\n0 0 0 0\n", ofMatrices(), { "third row", "parallel" } },
     { "matrixParallel", "1 0 0 0\n0 1 0 0\n0 0 0 1\n", ofMatrices(), { "third row", "parallel" } },
@@ -881,6 +883,16 @@ TEST_F(GeometryImport, otherFlaws)
   GeometryImportOptions options = withPitch();
   options.source_to_detector = 1000.0;
   expectError<std::invalid_argument>([&] { importGeometry(files, options); }, { "--pitch and --sdd" });
+  for (const double pitch : { 0.0, -0.3, std::nan(""), std::numeric_limits<double>::infinity() })
+  {
+    expectError<std::invalid_argument>([&] { importGeometry(files, withPitch(pitch)); }, { "--pitch", "positive" });
+  }
+  options = withPitch();
+  options.image_size = Eigen::Vector2i(0, 600);
+  expectError<std::invalid_argument>([&] { importGeometry(files, options); }, { "--image_size", "16384" });
+  options = withPitch();
+  options.point = Eigen::Vector3d(0.0, std::nan(""), 0.0);
+  expectError<std::invalid_argument>([&] { importGeometry(files, options); }, { "--point", "finite" });
   options = withPitch();
   options.names = { "a" };
   expectError<std::invalid_argument>([&] { importGeometry(files, options); }, { "--names has 1" });

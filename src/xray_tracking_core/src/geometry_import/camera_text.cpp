@@ -282,6 +282,10 @@ std::vector<ImportedView> readMatrices(const std::string& path, const std::strin
   {
     fail(path, "is 5 lines of 3 numbers, as MayaCam 1.0: expected MayaCam 2.0 or 3 x 4 projection matrices");
   }
+  if (rows_of_three > 0 && rows_of_three % 4 == 0 && values.size() == 3 * rows_of_three)
+  {
+    fail(path, "is 4 lines of 3 numbers, the transpose as MATLAB has it: expected 3 lines of 4");
+  }
   if (values.empty() || values.size() % 12 != 0 || rows_of_three != 0)
   {
     fail(where.empty() ? path : where, "ends after " + std::to_string(values.size()) +

@@ -13,6 +13,7 @@
 #include "../sequence/detector_node.h"
 #include "imported_view.h"
 #include "xray_tracking_core/image/lens_distortion.h"
+#include "xray_tracking_core/option_check.h"
 
 namespace xray_tracking
 {
@@ -434,6 +435,36 @@ std::string implausibility(const ProjectionGeometry& detector, const Eigen::Vect
   return "";
 }
 
+namespace
+{
+void checkOptions(const GeometryImportOptions& options)
+{
+  if (options.pixel_pitch && options.source_to_detector)
+  {
+    throw std::invalid_argument("--pitch and --sdd: expected one of them, the other follows");
+  }
+  if (options.pixel_pitch)
+  {
+    requireOption(options.pixel_pitch->allFinite() && options.pixel_pitch->minCoeff() > 0.0, "--pitch",
+                  options.pixel_pitch->transpose(), "positive numbers, mm");
+  }
+  if (options.source_to_detector)
+  {
+    requireOption(std::isfinite(*options.source_to_detector) && *options.source_to_detector > 0.0, "--sdd",
+                  *options.source_to_detector, "a positive number, mm");
+  }
+  if (options.image_size)
+  {
+    requireOption(options.image_size->minCoeff() >= 1 && options.image_size->maxCoeff() <= 16384, "--image_size",
+                  options.image_size->transpose(), "columns and rows, 1 to 16384");
+  }
+  if (options.point)
+  {
+    requireOption(options.point->allFinite(), "--point", options.point->transpose(), "finite numbers, mm");
+  }
+}
+}  // namespace
+
 ImportedView viewOf(const DetectorDescription& description, const std::string& where)
 {
   ImportedView view;
@@ -496,10 +527,7 @@ Eigen::Vector2d pixelPitchOf(const GeometryImportOptions& options, const std::st
 
 ImportedGeometry importGeometry(const std::vector<std::string>& files, const GeometryImportOptions& options)
 {
-  if (options.pixel_pitch && options.source_to_detector)
-  {
-    throw std::invalid_argument("--pitch and --sdd: expected one of them, the other follows");
-  }
+  checkOptions(options);
   std::vector<ImportedView> views;
   for (const std::string& file : files)
   {
