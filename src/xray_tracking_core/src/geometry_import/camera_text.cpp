@@ -8,6 +8,7 @@
 
 #include <Eigen/Dense>
 
+#include "import_words.h"
 #include "imported_view.h"
 
 namespace xray_tracking
@@ -18,11 +19,6 @@ namespace
 constexpr double kLargest = 1e15;
 /// Files are rounded.
 constexpr double kRotationTolerance = 1e-3;
-
-[[noreturn]] void fail(const std::string& where, const std::string& what)
-{
-  throw std::runtime_error(where + ": " + what);
-}
 
 std::string lowerCase(std::string text)
 {

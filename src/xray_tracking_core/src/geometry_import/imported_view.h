@@ -33,6 +33,9 @@ struct ImportedView
 /// @param description may be left-handed @throws std::runtime_error if the source is in the panel's plane
 ImportedView viewOf(const DetectorDescription& description, const std::string& where);
 
+/// Recognises a file's form and reads it. @throws as importGeometry()
+std::vector<ImportedView> readViews(const std::string& path, const GeometryImportOptions& options);
+
 std::vector<ImportedView> readMayaCam(const std::string& path, const std::string& text,
                                       const GeometryImportOptions& options);
 std::vector<ImportedView> readMatrices(const std::string& path, const std::string& text,

@@ -8,6 +8,7 @@
 #include <Eigen/Geometry>
 #include <boost/math/constants/constants.hpp>
 
+#include "import_words.h"
 #include "imported_view.h"
 
 namespace xray_tracking
@@ -27,11 +28,6 @@ const std::vector<std::string> kParameters{ "SourceToIsocenterDistance",
                                             "SourceOffsetY",
                                             "ProjectionOffsetX",
                                             "ProjectionOffsetY" };
-
-[[noreturn]] void fail(const std::string& where, const std::string& what)
-{
-  throw std::runtime_error(where + ": " + what);
-}
 
 class RtkFile
 {
