@@ -1,4 +1,5 @@
 #include <cmath>
+#include <cstdio>
 #include <filesystem>
 #include <limits>
 #include <random>
@@ -317,6 +318,31 @@ TEST(Triangulation, RejectsWhatHasNoAnswer)
 
   // Far off both panels.
   expectRejected(pair, { { -3836.8, 1582.2 }, { 4267.6, -4632.7 } }, { "no point", "detector_a", "too widely" });
+}
+
+/// What the refusal says makes the same view, upside down.
+TEST(ProjectionGeometry, TellsWhatMendsALeftHandedPanel)
+{
+  const DetectorDescription right = obliqueDescription();
+  DetectorDescription mirrored = right;
+  mirrored.origin += (right.image_size.y() - 1) * right.pixel_pitch.y() * right.y_direction;
+  mirrored.y_direction = -right.y_direction;
+  std::string message;
+  try
+  {
+    ProjectionGeometry::fromDescription(mirrored);
+  }
+  catch (const std::invalid_argument& error)
+  {
+    message = error.what();
+  }
+  Eigen::Vector3d origin, y;
+  const std::size_t said = message.find("origin_mm: [");
+  ASSERT_NE(std::string::npos, said) << message;
+  ASSERT_EQ(6, std::sscanf(message.c_str() + said, "origin_mm: [%lf, %lf, %lf], y_direction: [%lf, %lf, %lf]",
+                           &origin.x(), &origin.y(), &origin.z(), &y.x(), &y.y(), &y.z()));
+  EXPECT_LT((origin - right.origin).norm(), 1e-5);
+  EXPECT_LT((y - right.y_direction).norm(), 1e-8);
 }
 
 TEST(Presets, Cyberknife)

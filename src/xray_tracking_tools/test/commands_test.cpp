@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <cmath>
 #include <cstdio>
 #include <functional>
@@ -459,6 +460,177 @@ TEST(AlignSequence, endsOnBadInput)
   fails("", "detector_a");
   std::filesystem::remove(folder.file("ct.nrrd"));
   fails("", "ct.nrrd");
+}
+
+/// A camera of 8 x 6 pixels that looks at the room's origin from `z` mm on the side that `rotation` has it.
+std::string mayaCam(const std::string& rotation, double z)
+{
+  std::ostringstream text;
+  text << "image size\n8,6\n\ncamera matrix\n200,0,3.5\n0,200,2.5\n0,0,1\n\nrotation\n"
+       << rotation << "\n\ntranslation\n0\n0\n"
+       << z << "\n";
+  return text.str();
+}
+
+TEST(ImportGeometry, keepsTheRestOfASequence)
+{
+  const TemporaryFolder folder;
+  writeTestSequence(folder);
+  folder.write("a.txt", mayaCam("1,0,0\n0,-1,0\n0,0,-1", 900.0));
+  folder.write("b.txt", mayaCam("1,0,0\n0,0,1\n0,-1,0", 900.0));
+  const std::string views = " --views " + folder.file("a.txt") + ' ' + folder.file("b.txt");
+  const std::string out = folder.file("out.yaml");
+  const CommandResult result =
+      run("import_geometry " + out + views + " --pitch 5 --into " + folder.file("sequence.yaml"));
+  EXPECT_EQ(0, result.status) << result.output;
+  EXPECT_TRUE(contains(result.output, "all views see [0, 0, 0] mm")) << result.output;
+  EXPECT_TRUE(contains(result.output, "2 detectors written")) << result.output;
+  const TreatmentSetup setup = loadTreatmentSetup(out);
+  EXPECT_EQ(10.0, setup.room_from_patient.translation().x());
+  EXPECT_LT((setup.detectors[1].source() - Eigen::Vector3d(0, 900, 0)).norm(), 1e-9);
+  EXPECT_EQ("detector_b", setup.detectors[1].name());
+  // The setup's own names are kept.
+  folder.write("named.yaml",
+               "detectors:\n"
+               "- {name: cam1, image_size: [8, 6], pixel_pitch_mm: [0.5, 0.25], source_mm: [0, 0, 600],\n"
+               "   origin_mm: [-1.5, 0.5, -400], x_direction: [1, 0, 0], y_direction: [0, -1, 0]}\n"
+               "- {name: cam2, image_size: [8, 6], pixel_pitch_mm: [0.5, 0.25], source_mm: [0, 600, 0],\n"
+               "   origin_mm: [-1.5, -400, -0.5], x_direction: [1, 0, 0], y_direction: [0, 0, 1]}\n");
+  EXPECT_EQ(0, run("import_geometry " + out + views + " --pitch 5 --into " + folder.file("named.yaml")).status);
+  EXPECT_EQ("cam2", loadDetectors(out)[1].name());
+
+  // Alone it is no setup yet, and says so.
+  const CommandResult alone = run("import_geometry " + out + views + " --sdd 1000 --names left right");
+  EXPECT_EQ(0, alone.status);
+  EXPECT_TRUE(contains(alone.output, "not yet a whole setup: ")) << alone.output;
+  EXPECT_EQ("right", loadDetectors(out)[1].name());
+}
+
+TEST(ImportGeometry, tellsOfAnInvertedInitialPose)
+{
+  const TemporaryFolder folder;
+  writeTestSequence(folder);
+  folder.write("a.txt", mayaCam("1,0,0\n0,-1,0\n0,0,-1", 900.0));
+  folder.write("b.txt", mayaCam("1,0,0\n0,0,1\n0,-1,0", 900.0));
+  // The target stands at -10, -20, -30 in the patient; the pose moves it there again.
+  std::ifstream in(folder.file("sequence.yaml"));
+  std::string text((std::istreambuf_iterator<char>(in)), std::istreambuf_iterator<char>());
+  text.replace(text.find("[10, 20, 30]"), 12, "[-10, -20, -30]");
+  text.replace(text.find("min: [-12, -21, -31], max: [-8, -19, -29]"), 41,
+               "min: [-10.5, -20.5, -30.5], max: [-9.5, -19.5, -29.5]");
+  folder.write("sequence.yaml", text);
+  const CommandResult result = run("import_geometry " + folder.file("out.yaml") + " --views " + folder.file("a.txt") +
+                                   ' ' + folder.file("b.txt") + " --pitch 5 --into " + folder.file("sequence.yaml"));
+  EXPECT_EQ(0, result.status) << result.output;
+  EXPECT_TRUE(contains(result.output, "target_outside_image: detector_a")) << result.output;
+  EXPECT_TRUE(contains(result.output, "by the inverse of it (it maps room to patient)")) << result.output;
+  EXPECT_TRUE(contains(result.output, "translation_mm: [10, 20, 30] puts the target where")) << result.output;
+}
+
+TEST(ImportGeometry, endsOnBadInput)
+{
+  const TemporaryFolder folder;
+  writeTestSequence(folder);
+  folder.write("a.txt", mayaCam("1,0,0\n0,-1,0\n0,0,-1", 900.0));
+  folder.write("b.txt", mayaCam("1,0,0\n0,0,1\n0,-1,0", 900.0));
+  const std::string out = folder.file("out.yaml");
+  const auto fails = [&](const std::string& options, const std::string& named)
+  {
+    const CommandResult result = run("import_geometry " + out + ' ' + options);
+    EXPECT_EQ(1, result.status) << named;
+    EXPECT_TRUE(contains(result.output, named)) << result.output;
+    EXPECT_EQ(result.output.size() - 1, result.output.find('\n')) << result.output;
+    EXPECT_FALSE(std::filesystem::exists(out));
+  };
+  const std::string views = "--views " + folder.file("a.txt") + ' ' + folder.file("b.txt");
+  fails("", "--views is missing");
+  fails(views, "--pitch MM or --sdd MM");
+  fails(views + " --pitch 5 --unit inch", "--unit is inch");
+  fails(views + " --pitch 1 2 3", "--pitch has 3");
+  fails(views + " --pitch -5", "");
+  fails(views + " --sdd nan", "nan");
+  fails(views + " --pitch 5 --point 1 2", "--point has 2");
+  fails(views + " --pitch 5 --image_size 8", "--image_size has 1");
+  fails(views + " --pitch 5 --into " + folder.file("none.yaml"), "none.yaml");
+  fails("--views " + folder.file("none.txt") + " --pitch 5", "none.txt");
+}
+
+TEST(ShowSetup, drawsSetupsAndSequences)
+{
+  const TemporaryFolder folder;
+  writeTestSequence(folder);
+  const std::string out = folder.file("picture.png");
+  CommandResult result = run("show_setup " + folder.file("") + ' ' + out);
+  EXPECT_EQ(0, result.status) << result.output;
+  EXPECT_FALSE(cv::imread(out).empty());
+  std::filesystem::remove(out);
+
+  // The picture's path may stand behind the images.
+  result = run("show_setup " + folder.file("sequence.yaml") + " --images " + folder.file("image_a1.png") + ' ' +
+               folder.file("image_b1.png") + ' ' + out);
+  EXPECT_EQ(0, result.status) << result.output;
+  EXPECT_FALSE(cv::imread(out).empty());
+
+  writePhantomSequence(folder);
+  std::filesystem::remove(out);
+  result = run("show_setup " + folder.file("") + ' ' + out);
+  EXPECT_EQ(0, result.status) << result.output;
+  EXPECT_FALSE(cv::imread(out).empty());
+}
+
+TEST(ShowSetup, saysWhatIsTurnedOrMirrored)
+{
+  const TemporaryFolder folder;
+  const RigidTransform pose = writePhantomSequence(folder);
+  const std::string path = folder.file("sequence.yaml"), out = folder.file("picture.png");
+  TreatmentSetup setup = loadTreatmentSetup(path);
+  const std::string images = " --images " + folder.file("detector_a.png") + ' ' + folder.file("detector_b.png");
+  const auto shown = [&](const RigidTransform& room_from_patient, const std::string& of)
+  {
+    setup.room_from_patient = room_from_patient;
+    saveTreatmentSetup(setup, folder.file("setup.yaml"));
+    const CommandResult result = run("show_setup " + folder.file("setup.yaml") + ' ' + out + of);
+    EXPECT_EQ(0, result.status) << result.output;
+    return result.output;
+  };
+  // The first pose is right: nothing but the two lines of progress.
+  const std::string right = shown(pose, images);
+  EXPECT_EQ(2, std::count(right.begin(), right.end(), '\n')) << right;
+
+  const Eigen::Translation3d centre(setup.targetCentre());
+  const RigidTransform prone = pose * centre * Eigen::AngleAxisd(M_PI, Eigen::Vector3d::UnitZ()) * centre.inverse();
+  EXPECT_TRUE(contains(shown(prone, images), "turned by 180 degrees about his head-feet axis")) << shown(prone, images);
+  EXPECT_TRUE(contains(shown(pose.inverse(), images), "the inverse of it")) << shown(pose.inverse(), images);
+  RigidTransform off = pose;
+  off.translation().x() += 16.0;
+  EXPECT_TRUE(contains(shown(off, images), "16 mm (detector_a)")) << shown(off, images);
+
+  cv::Mat mirrored;
+  cv::flip(cv::imread(folder.file("detector_b.png"), cv::IMREAD_UNCHANGED), mirrored, 1);
+  cv::imwrite(folder.file("mirrored.png"), mirrored);
+  const std::string told =
+      shown(pose, " --images " + folder.file("detector_a.png") + ' ' + folder.file("mirrored.png"));
+  EXPECT_TRUE(contains(told, "the image of detector_b looks like its DRR when it is turned left to right")) << told;
+  EXPECT_FALSE(contains(told, "the image of detector_a")) << told;
+}
+
+TEST(ShowSetup, endsOnBadInput)
+{
+  const TemporaryFolder folder;
+  writeTestSequence(folder);
+  const auto fails = [&](const std::string& options, const std::string& named)
+  {
+    const CommandResult result = run("show_setup " + options);
+    EXPECT_EQ(1, result.status) << named;
+    EXPECT_TRUE(contains(result.output, named)) << result.output;
+  };
+  const std::string setup = folder.file("sequence.yaml");
+  fails(setup, "OUT.png is missing");
+  fails(folder.file("none.yaml") + ' ' + folder.file("out.png"), "none.yaml");
+  fails(setup + ' ' + folder.file("out.txt"), "out.txt: cannot be written");
+  fails(setup + ' ' + folder.file("none/out.png"), "cannot be written");
+  fails(setup + ' ' + folder.file("out.png") + " --images " + folder.file("image_a1.png"), "--images: 1");
+  fails(setup + ' ' + folder.file("out.png") + " --images a.png b.png", "a.png");
 }
 }  // namespace
 }  // namespace xray_tracking

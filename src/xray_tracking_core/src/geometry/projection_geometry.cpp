@@ -55,6 +55,19 @@ void checkUnit(const std::string& detector, const std::string& field, const Eige
   }
 }
 
+/// What mends a panel whose columns and rows are as seen from behind.
+std::string turned(const DetectorDescription& description)
+{
+  const Eigen::IOFormat list(9, Eigen::DontAlignCols, ", ", ", ", "", "", "[", "]");
+  const double height = (description.image_size.y() - 1) * description.pixel_pitch.y();
+  std::ostringstream text;
+  text << ". Its images are mirrored: turn them upside down, with origin_mm: "
+       << (description.origin + height * description.y_direction).format(list)
+       << ", y_direction: " << (-description.y_direction).eval().format(list)
+       << " (import_geometry does as much for columns). Or are source and panel swapped?";
+  return text.str();
+}
+
 bool isTopicName(const std::string& name)
 {
   return !name.empty() && std::isalpha(static_cast<unsigned char>(name.front())) &&
@@ -109,7 +122,7 @@ ProjectionGeometry ProjectionGeometry::fromDescription(const DetectorDescription
   {
     reject(name, "source_mm", description.source.transpose(),
            "a point at least 1 mm from the panel on the side that x_direction cross y_direction points away from, is " +
-               std::to_string(origin.z()) + " mm");
+               std::to_string(origin.z()) + " mm" + (origin.z() < -kMinSourceToDetector ? turned(description) : ""));
   }
   geometry.foot_ = -origin.head<2>().cwiseQuotient(description.pixel_pitch);
   geometry.focal_length_ = origin.z() * description.pixel_pitch.cwiseInverse();

@@ -7,6 +7,7 @@
 #include <sstream>
 #include <stdexcept>
 
+#include "detector_node.h"
 #include "xray_tracking_core/plan/structure.h"
 #include "yaml_field.h"
 
@@ -156,19 +157,6 @@ std::vector<typename Vector::Scalar> listOf(const Vector& vector)
   return { vector.data(), vector.data() + vector.size() };
 }
 
-YAML::Node nodeOf(const ProjectionGeometry& detector)
-{
-  YAML::Node node;
-  node["name"] = detector.name();
-  node["image_size"] = listOf(detector.imageSize());
-  node["pixel_pitch_mm"] = listOf(detector.pixelPitch());
-  node["source_mm"] = listOf(detector.source());
-  node["origin_mm"] = listOf(detector.origin());
-  node["x_direction"] = listOf(detector.xDirection());
-  node["y_direction"] = listOf(detector.yDirection());
-  return node;
-}
-
 YAML::Node nodeOf(const Eigen::AlignedBox3d& box)
 {
   YAML::Node node;
@@ -187,6 +175,24 @@ YAML::Node nodeOf(const cv::Rect& region)
   return node;
 }
 }  // namespace
+
+YAML::Node detectorNode(const ProjectionGeometry& detector)
+{
+  YAML::Node node;
+  node["name"] = detector.name();
+  node["image_size"] = listOf(detector.imageSize());
+  node["pixel_pitch_mm"] = listOf(detector.pixelPitch());
+  node["source_mm"] = listOf(detector.source());
+  node["origin_mm"] = listOf(detector.origin());
+  node["x_direction"] = listOf(detector.xDirection());
+  node["y_direction"] = listOf(detector.yDirection());
+  for (const auto& key : node)
+  {
+    YAML::Node value = key.second;
+    value.SetStyle(YAML::EmitterStyle::Flow);
+  }
+  return node;
+}
 
 const ProjectionGeometry& TreatmentSetup::detector(const std::string& name) const
 {
@@ -349,7 +355,7 @@ void saveTreatmentSetup(const TreatmentSetup& setup, const std::string& path)
   }
   for (const ProjectionGeometry& detector : setup.detectors)
   {
-    root["detectors"].push_back(nodeOf(detector));
+    root["detectors"].push_back(detectorNode(detector));
   }
   const Eigen::Quaterniond rotation(setup.room_from_patient.linear());
   root["initial_pose"]["translation_mm"] = listOf(Eigen::Vector3d(setup.room_from_patient.translation()));

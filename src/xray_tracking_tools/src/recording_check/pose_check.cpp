@@ -11,6 +11,7 @@
 
 #include <boost/math/constants/constants.hpp>
 
+#include "pose_readings.h"
 #include "xray_tracking_core/volume/ct_content.h"
 #include "xray_tracking_registration/registration.h"
 #include "xray_tracking_registration/usable_pixels.h"
@@ -20,11 +21,6 @@ namespace xray_tracking
 namespace
 {
 constexpr double kDegree = boost::math::constants::degree<double>();
-// What the graph asks of an initial pose (docs/playback.md).
-constexpr double kNearMm = 10.0;
-constexpr double kNearRotation = 5.0 * kDegree;
-// Of the target's box that has to be seen.
-constexpr double kSeen = 0.75;
 /// No right pose of the registration's own measurements has less (docs/registration_measurements.md).
 constexpr double kLikeNothing = 0.31;
 constexpr double kTimeBudget = 20.0;  // [s] of one registration; nothing waits
@@ -36,78 +32,8 @@ std::string printed(const char* format, double a, double b = 0.0)
   return text;
 }
 
-/// Another meaning of what is written in a setup.
-struct Reading
-{
-  std::string words;
-  RigidTransform room_from_patient;
-  bool swapped = false;     ///< the first two detectors
-  bool other_tone = false;  ///< the other kind of intensity
-};
-
-/// How far apart two poses put the target: distance of its centre, angle.
-std::pair<double, double> apart(const RigidTransform& a, const RigidTransform& b, const Eigen::Vector3d& centre)
-{
-  return { (a * centre - b * centre).norm(), rotationAngle(a.inverse() * b) };
-}
-
-std::vector<Reading> otherReadings(const TreatmentSetup& setup)
-{
-  const RigidTransform pose = setup.room_from_patient;
-  const auto scaled = [](RigidTransform transform, double factor)
-  {
-    transform.translation() *= factor;
-    return transform;
-  };
-  const Eigen::Quaterniond q(pose.linear());
-  RigidTransform reordered = pose;
-  reordered.linear() = Eigen::Quaterniond(q.x(), q.y(), q.z(), q.w()).toRotationMatrix();
-  const RigidTransform half_turn(Eigen::AngleAxisd(boost::math::constants::pi<double>(), Eigen::Vector3d::UnitZ()));
-  std::vector<Reading> readings{
-    { "the inverse of it (it maps room to patient)", pose.inverse() },
-    { "it in metres (translation_mm times 1000)", scaled(pose, 1000.0) },
-    { "it by a thousand (millimetres were taken for metres)", scaled(pose, 0.001) },
-    { "the inverse of it in metres", scaled(pose, 1000.0).inverse() },
-    { "its quaternion with w first", reordered },
-    { "it for RAS coordinates of the patient instead of LPS", pose * half_turn },
-  };
-  if (setup.detectors.size() == 2)
-  {
-    readings.push_back({ "it with the two detectors' images swapped", pose, true });
-  }
-  readings.push_back({ std::string("it with intensity.kind ") +
-                           (setup.intensity.kind == IntensityModel::Kind::COUNTS ? "attenuation" : "counts"),
-                       pose, false, true });
-  // Those that say what the setup says, or another one before them.
-  std::vector<Reading> different;
-  for (const Reading& reading : readings)
-  {
-    const auto same = [&](const RigidTransform& other)
-    {
-      const auto [distance, angle] = apart(reading.room_from_patient, other, setup.targetCentre());
-      return distance < kNearMm && angle < kNearRotation;
-    };
-    if (reading.swapped || reading.other_tone ||
-        (!same(pose) && std::none_of(different.begin(), different.end(),
-                                     [&](const Reading& other) { return same(other.room_from_patient); })))
-    {
-      different.push_back(reading);
-    }
-  }
-  return different;
-}
-
-bool targetIsSeen(const TreatmentSetup& setup, const RigidTransform& room_from_patient)
-{
-  TreatmentSetup there = setup;
-  there.room_from_patient = room_from_patient;
-  return std::none_of(there.detectors.begin(), there.detectors.end(),
-                      [&](const ProjectionGeometry& detector)
-                      { return projectedTargetRegion(there, detector).empty(); });
-}
-
 RegistrationResult registered(const Registration& registration, const TreatmentSetup& setup,
-                              const std::vector<cv::Mat>& images, const Reading& reading)
+                              const std::vector<cv::Mat>& images, const PoseReading& reading)
 {
   RegistrationRequest request;
   request.intensity = setup.intensity;
@@ -143,7 +69,8 @@ public:
 
   std::vector<Finding> run(const std::optional<RigidTransform>& gold_standard)
   {
-    const bool seen = checkTargetSeen();
+    findings_ = checkRoom(setup_);
+    const bool seen = targetShare(setup_, setup_.room_from_patient) > 0.0;
     if (gold_standard)
     {
       checkGoldStandard(*gold_standard);
@@ -173,36 +100,6 @@ private:
     findings_.push_back({ code, severity, thing, value, expected, advice });
   }
 
-  bool checkTargetSeen()
-  {
-    bool all = true;
-    for (const ProjectionGeometry& detector : setup_.detectors)
-    {
-      Eigen::AlignedBox2d corners;
-      bool in_front = true;
-      for (int corner = 0; corner < 8; ++corner)
-      {
-        const auto type = static_cast<Eigen::AlignedBox3d::CornerType>(corner);
-        const Eigen::Vector2d pixel = detector.project(setup_.room_from_patient * setup_.target_box.corner(type));
-        in_front = in_front && pixel.allFinite();
-        corners.extend(pixel);
-      }
-      const double share = in_front ? projectedTargetRegion(setup_, detector).area() /
-                                          std::max(1.0, (corners.sizes().array() + 1.0).prod())
-                                    : 0.0;
-      if (share < kSeen)
-      {
-        all = all && share > 0.0;
-        tell("target_outside_image", share > 0.0 ? Severity::WARNING : Severity::ERROR,
-             detector.name() + ", target_box_mm",
-             !in_front ? "is behind the source at the initial pose"
-                       : printed("%.0f %% of it in the image at the initial pose", 100.0 * share),
-             "all of it", "look at initial_pose, target_box_mm (patient frame, LPS) and the detector's geometry");
-      }
-    }
-    return all;
-  }
-
   void checkGoldStandard(const RigidTransform& gold)
   {
     const auto [distance, angle] = apart(setup_.room_from_patient, gold, setup_.targetCentre());
@@ -211,7 +108,7 @@ private:
       return;
     }
     std::string fits;
-    for (const Reading& reading : otherReadings(setup_))
+    for (const PoseReading& reading : otherReadings(setup_))
     {
       const auto [other_distance, other_angle] = apart(reading.room_from_patient, gold, setup_.targetCentre());
       if (fits.empty() && other_distance <= kNearMm && other_angle <= kNearRotation)
@@ -294,9 +191,9 @@ private:
     }
     std::string fits;
     double probability = 0.0;
-    for (const Reading& reading : otherReadings(setup_))
+    for (const PoseReading& reading : otherReadings(setup_))
     {
-      if (!targetIsSeen(setup_, reading.room_from_patient))
+      if (!(targetShare(setup_, reading.room_from_patient) > 0.0))
       {
         continue;
       }
