@@ -7,7 +7,7 @@
 #include <numeric>
 #include <stdexcept>
 #include <string>
-#include "several_processors.h"
+#include "xray_tracking_core/several_processors.h"
 
 namespace xray_tracking
 {

@@ -5,7 +5,7 @@
 #include <cmath>
 #include <vector>
 
-#include "several_processors.h"
+#include "xray_tracking_core/several_processors.h"
 
 #define INLINE inline __attribute__((always_inline))
 // How vectors would be passed to functions that are not inlined: here all are.
