@@ -256,28 +256,13 @@ void ViewLevel::model(const Bodies& bodies, const PosePair& poses, double satura
   cv::Mat slope;
   cv::Mat by_saturation;
   saturate(saturation, image, slope, by_saturation);
-  slope = slope.mul(counts_);
-  by_saturation = by_saturation.mul(counts_);
   model.twists = moving == Moving::BOTH ? 12 : 6;
-  image = image.mul(counts_);
-  PixelRows rows(image.total(), kPixelRow);
-  for (Eigen::Index n = 0; n < rows.rows(); ++n)
-  {
-    float* row = rows.row(n).data();
-    const float factor = slope.ptr<float>()[n];
-    for (int body = 0; body < model.twists / 6; ++body)
-    {
-      const float* from = derivatives[body].ptr<float>() + 6 * n;
-      row = std::transform(from, from + 6, row, [factor](float value) { return factor * value; });
-    }
-    *row++ = by_saturation.ptr<float>()[n];
-    std::fill(row, rows.row(n).data() + kImage, 0.0f);
-    rows(n, kImage) = image.ptr<float>()[n];
-  }
-  PixelRows means = rows;
-  blur_(means, image.size());
+  const PixelRows rows =
+      makeRows({ derivatives[0].ptr<float>(), moving == Moving::BOTH ? derivatives[1].ptr<float>() : nullptr,
+                 by_saturation.ptr<float>(), image.ptr<float>(), slope.ptr<float>(), counts_.ptr<float>() },
+               static_cast<int>(image.total()));
   model.derivatives =
-      withoutMeans(rows, means, counted_inverse_, cv::Rect(border_, border_, size_.width, size_.height));
+      blur_.withoutMeans(rows, image.size(), counted_inverse_, cv::Rect(border_, border_, size_.width, size_.height));
   model.image = model.derivatives.col(kImage);
   model.derivatives.col(kImage).setZero();
   const float norm = normalise(model.image);
