@@ -7,6 +7,7 @@
 #include <numeric>
 #include <stdexcept>
 #include <string>
+
 #include "xray_tracking_core/several_processors.h"
 
 namespace xray_tracking

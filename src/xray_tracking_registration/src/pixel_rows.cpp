@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <memory>
 #include <vector>
 
 #include "xray_tracking_core/several_processors.h"
@@ -340,11 +341,12 @@ PixelRows RunningBlur::withoutMeans(const PixelRows& rows, const cv::Size& size,
                                     const cv::Rect& inner) const
 {
   const std::size_t buffer = bufferSize(size.width, size.height);
-  std::vector<float> buffers(2 * buffer + static_cast<std::size_t>(inner.width * size.height) * kPixelRow);
+  const std::size_t along = static_cast<std::size_t>(inner.width * size.height) * kPixelRow;
+  const std::unique_ptr<float[]> buffers(new float[2 * buffer + along]);  // of no value until written to
   PixelRows result(inner.area(), kPixelRow);
   pixel_rows::subtractMeans(rows.data(), size.width, size.height, { reach_, edge_, weight_ }, factors.ptr<float>(),
-                            { inner.x, inner.y, inner.width, inner.height }, buffers.data() + 2 * buffer,
-                            buffers.data(), buffers.data() + buffer, result.data());
+                            { inner.x, inner.y, inner.width, inner.height }, buffers.get() + 2 * buffer, buffers.get(),
+                            buffers.get() + buffer, result.data());
   return result;
 }
 
