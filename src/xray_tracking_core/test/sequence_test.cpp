@@ -209,6 +209,52 @@ TEST(Sequence, DetectorsMayBeExposedMillisecondsApart)
   }
 }
 
+/// It is the files' matter alone: images come out straight, and what a graph or a bag is told has none.
+TEST(Sequence, DistortedImagesAreReadStraight)
+{
+  SequenceFolder folder;
+  cv::Mat slope(kSize.y(), kSize.x(), CV_16UC1);
+  for (int u = 0; u < slope.cols; ++u)
+  {
+    slope.col(u) = 1000 + 100 * u;
+  }
+  cv::imwrite(folder.folder().path("b0.png"), slope);
+  // detector_b: fx = 75, cx = 2.5; p1 moves y by p1 r^2, nothing else of note. k1: x by 75 k1 (x / 75)^3.
+  folder.yaml = replaced(folder.yaml, "    y_direction: [0.0, 0.0, 1.0]\n",
+                         "    y_direction: [0.0, 0.0, 1.0]\n"
+                         "    distortion: {model: plumb_bob, coefficients: [-100, 0, 0, 0]}\n");
+  folder.write();
+  const Sequence sequence = folder.load();
+  ASSERT_EQ(2u, sequence.distortions.size());
+  EXPECT_TRUE(sequence.distortions[0].none());
+  EXPECT_FALSE(sequence.distortions[1].none());
+  const auto& [b, intensity] = std::tie(sequence.setup.detectors[1], sequence.setup.intensity);
+  const cv::Mat stored = readXrayImage(folder.folder().path("b0.png"), b, intensity);
+  EXPECT_EQ(0, cv::norm(slope, stored, cv::NORM_INF));
+  // Pixel (4, 1), of y = 30 (1 - 1.5) / 1500: r^2 = 0.02^2 + 0.01^2, so that it is found 100 r^2 = 5 % nearer to 2.5.
+  EXPECT_NEAR(1000.0 + 100.0 * (2.5 + 1.5 * 0.95), sequence.image(0, 1).at<std::uint16_t>(1, 4), 100.0 / 64.0 + 0.5);
+  EXPECT_EQ(1000, sequence.image(0, 0).at<std::uint16_t>(1, 4));
+
+  const std::string text = selfContainedSetup(folder.folder().path("sequence.yaml"));
+  EXPECT_EQ(text.find("distortion"), std::string::npos) << text;
+  EXPECT_EQ(2u, treatmentSetupFromText(text, "setup").detectors.size());
+
+  const auto refused = [&](const std::string& distortion, const std::vector<std::string>& parts)
+  {
+    SequenceFolder other;
+    other.yaml = replaced(folder.yaml, "{model: plumb_bob, coefficients: [-100, 0, 0, 0]}", distortion);
+    other.expectLoadError(parts);
+  };
+  refused("{model: fisheye, coefficients: [0, 0, 0, 0]}",
+          { "sequence.yaml, line", "detectors[1].distortion", "fisheye" });
+  refused("{coefficients: [0, 0, 0, 0]}", { "detectors[1].distortion.model", "missing" });
+  refused("{model: plumb_bob}", { "detectors[1].distortion.coefficients", "missing" });
+  refused("{model: plumb_bob, coefficients: 0.1}", { "detectors[1].distortion.coefficients", "a list" });
+  refused("{model: plumb_bob, coefficients: [0, .nan, 0, 0]}", { "coefficients[1]", "nan", "finite" });
+  refused("{model: plumb_bob, coefficients: [1e9, 0, 0, 0]}", { "detectors[1].distortion", "is moved by" });
+  refused("0.1", { "detectors[1].distortion", "keys with values" });
+}
+
 TEST(TreatmentSetup, ChoiceOfWhatACtHolds)
 {
   SequenceFolder folder;

@@ -139,7 +139,7 @@ void judgeSharedSequence(const std::string& name, double median_of_others)
     std::vector<Eigen::Vector2d> places;
     for (std::size_t k = 0; k < sequence.exposures.size(); ++k)
     {
-      images.push_back(readXrayImage(sequence.exposures[k].files[d], geometry, sequence.setup.intensity));
+      images.push_back(sequence.image(k, d));
       places.push_back(geometry.project(sequence.gold_standard[k].room_from_patient * sequence.setup.targetCentre()));
     }
     const std::vector<double> errors =
@@ -178,11 +178,11 @@ TEST(HyperplaneTrackerOnAnatomy, followsARealKneeInEveryExposure)
     const cv::Rect region = projectedTargetRegion(setup, geometry);
     const Eigen::Vector2d arm =
         place(0) - Eigen::Vector2d(region.x + 0.5 * (region.width - 1), region.y + 0.5 * (region.height - 1));
-    tracker.train(readXrayImage(sequence.exposures[0].files[d], geometry, sequence.setup.intensity), region);
+    tracker.train(sequence.image(0, d), region);
     std::vector<double> errors;
     for (std::size_t k = 1; k < sequence.exposures.size(); ++k)
     {
-      const TrackResult& result = tracker.track(readXrayImage(sequence.exposures[k].files[d], geometry, sequence.setup.intensity));
+      const TrackResult& result = tracker.track(sequence.image(k, d));
       EXPECT_TRUE(result.found()) << geometry.name() << ", exposure " << k;
       const Eigen::Vector2d moved = result.displacement + result.linear * arm - arm;
       errors.push_back((moved - (place(k) - place(0))).norm() * pixelAtTarget(geometry, setup));

@@ -10,6 +10,8 @@
 
 #include "xray_tracking_core/several_processors.h"
 
+#include "xray_tracking_core/image/attenuation.h"
+
 namespace xray_tracking
 {
 namespace
@@ -72,14 +74,7 @@ AttenuationImage::AttenuationImage(const cv::Mat& image, const IntensityModel& i
   }
   most_factors_ = image.depth() == CV_32F ? 1 : kFactors;
   offset_ = intensity.offset;
-  if (intensity.air_counts)
-  {
-    air_ = *intensity.air_counts;
-  }
-  else
-  {
-    cv::minMaxLoc(image, nullptr, &air_);
-  }
+  air_ = airCounts(image, intensity);
   if (!(air_ > offset_))
   {
     throw std::invalid_argument("intensity: air counts are " + std::to_string(air_) +

@@ -305,14 +305,15 @@ void Descender::descendDerivativeFree(const Run& run, PosePair& poses) const
   optimiseDerivativeFree(makeViews(run, poses, kFineWide), bodies_, moving_, *similarity_, 0.7, run.control, poses);
 }
 
-double Descender::lossAside(const FineLevel& fine, const Outcome& outcome) const
+double Descender::lossAside(const FineLevel& fine, const Eigen::Matrix<double, 6, 6>& tiles,
+                            const Outcome& outcome) const
 {
-  if (!outcome.covariance.allFinite() || !(outcome.similarity > 0.0))
+  if (!tiles.allFinite() || !(outcome.similarity > 0.0))
   {
     return 0.0;
   }
   const PosePair& poses = outcome.poses;
-  const Twist aside = kAside * leastKnown(outcome.covariance, poses.target, box_);
+  const Twist aside = kAside * leastKnown(tiles, poses.target, box_);
   const std::array<RigidTransform, 2> places{ moved(poses, aside, bodies_.centre, Moving::TARGET).target,
                                               moved(poses, -aside, bodies_.centre, Moving::TARGET).target };
   std::vector<std::array<double, 2>> there(fine.views.size());
@@ -338,7 +339,8 @@ void Descender::judge(const Run& run, const FineLevel& fine, Outcome& outcome) c
   const PosePair& poses = outcome.poses;
   outcome.similarity = fine.at.meanSimilarity();
   outcome.views = viewResiduals(fine.views, fine.at, poses.target * bodies_.centre);
-  outcome.covariance = poseCovariance(fine.views, fine.at, prior, poses, bodies_);
+  const PoseSpread spread = poseSpread(fine.views, fine.at, prior, poses, bodies_);
+  outcome.covariance = spread.covariance;
   std::vector<double> coarse(fine.views.size());
   if (!run.request.start_verified)
   {
@@ -355,12 +357,12 @@ void Descender::judge(const Run& run, const FineLevel& fine, Outcome& outcome) c
     figures.least_coarse_similarity = std::min(figures.least_coarse_similarity, view.coarse_similarity);
     figures.pull_mm = std::max(figures.pull_mm, view.pull_mm);
   }
-  figures.expected_error_mm = expectedError(outcome.covariance, poses.target, box_);
+  figures.expected_error_mm = expectedError(spread.tiles, poses.target, box_);
   const Distinctness distinctness = distinctnessOf(fine, poses.target * bodies_.centre);
   figures.here = distinctness.here;
   figures.rival = distinctness.rival;
   figures.distinctness = distinctness.z;
-  figures.loss_aside = lossAside(fine, outcome);
+  figures.loss_aside = lossAside(fine, spread.tiles, outcome);
   outcome.probability = probabilityOf(figures, nearVerifiedStart(run, poses.target));
   const bool known = outcome.covariance.allFinite() &&
                      std::all_of(outcome.views.begin(), outcome.views.end(),

@@ -91,8 +91,8 @@ private:
   cv::Rect region(const RegistrationView& view, const RigidTransform& room_from_patient) const;
   void follow(const Run& run, Path path, PosePair& poses) const;
   void descendDerivativeFree(const Run& run, PosePair& poses) const;
-  /// BeliefFigures::loss_aside.
-  double lossAside(const FineLevel& fine, const Outcome& outcome) const;
+  /// BeliefFigures::loss_aside. @param tiles PoseSpread::tiles
+  double lossAside(const FineLevel& fine, const Eigen::Matrix<double, 6, 6>& tiles, const Outcome& outcome) const;
   void judge(const Run& run, const FineLevel& fine, Outcome& outcome) const;
   static RestPrior priorOf(const Run& run);
 

@@ -6,10 +6,16 @@
 
 namespace xray_tracking
 {
-/// Covariance of the target's twist from the spread over tiles of the images: what noise, and what the model does not
-/// know of, do to the pose. About the target's centre in the room [rad, mm].
-Eigen::Matrix<double, 6, 6> poseCovariance(const std::vector<ViewLevel>& views, const Linearisation& at,
-                                           const RestPrior& prior, const PosePair& poses, const Bodies& bodies);
+/// How well the target's twist about its centre in the room [rad, mm] is known.
+struct PoseSpread
+{
+  /// From the spread over tiles of the images: what noise, and what the model does not know of, do to the pose.
+  Eigen::Matrix<double, 6, 6> tiles;
+  /// The pose's covariance: the same, steadied, as that of few tiles in six directions is too small in some.
+  Eigen::Matrix<double, 6, 6> covariance;
+};
+PoseSpread poseSpread(const std::vector<ViewLevel>& views, const Linearisation& at, const RestPrior& prior,
+                      const PosePair& poses, const Bodies& bodies);
 
 /// Figures of each view but its coarse similarity. @param room_centre the target's centre in the room
 std::vector<ViewResidual> viewResiduals(const std::vector<ViewLevel>& views, const Linearisation& at,

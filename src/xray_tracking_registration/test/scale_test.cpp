@@ -74,9 +74,7 @@ public:
     RegistrationRequest request;
     for (std::size_t v = 0; v < sequence_.setup.detectors.size(); ++v)
     {
-      const ProjectionGeometry& detector = sequence_.setup.detectors[v];
-      request.views.push_back(
-          { detector, readXrayImage(sequence_.exposures[exposure].files[v], detector, sequence_.setup.intensity) });
+      request.views.push_back({ sequence_.setup.detectors[v], sequence_.image(exposure, v) });
     }
     request.intensity = sequence_.setup.intensity;
     request.room_from_patient =

@@ -248,7 +248,7 @@ TEST(WideSearchOfRealImages, FindsThePose)
     RegistrationRequest request;
     for (std::size_t v = 0; v < setup.detectors.size(); ++v)
     {
-      request.views.push_back({ setup.detectors[v], readXrayImage(sequence.exposures[one.exposure].files[v], setup.detectors[v], setup.intensity) });
+      request.views.push_back({ setup.detectors[v], sequence.image(one.exposure, v) });
     }
     request.intensity = setup.intensity;
     request.room_from_patient = setup.room_from_patient;

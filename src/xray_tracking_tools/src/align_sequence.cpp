@@ -47,9 +47,7 @@ int alignSequence(const po::variables_map& arguments)
   request.room_from_patient = setup.room_from_patient;
   for (std::size_t d = 0; d < setup.detectors.size(); ++d)
   {
-    const ProjectionGeometry& detector = setup.detectors[d];
-    request.views.push_back(
-        { detector, readXrayImage(sequence.exposures.front().files[d], detector, sequence.setup.intensity) });
+    request.views.push_back({ setup.detectors[d], sequence.image(0, d) });
   }
   std::cerr << "reading " << setup.ct_path << std::endl;
   const PatientCt ct = readPatientCt(setup.ct_path, setup.ct_content, setup.ct_choice);

@@ -154,6 +154,7 @@ ExposureRecord recordOf(const MotionDecision& decision, const OfflineRun& run, b
   record.reason = !has_pose ? decision.reason : registers ? decision.not_registered : "";
   record.gate = gateReasonName(run.gate().reason());
   record.gate_text = run.gate().text();
+  record.unverified = run.gate().verification().fault();
   if (decision.views > 0)
   {
     record.disagreement_px = decision.disagreement;
@@ -209,6 +210,8 @@ MethodResult runMethod(const std::string& name, const ExposureSource& source, Ct
   MethodResult result;
   result.method = name;
   const Method method = makeMethod(name, source.setup, models);
+  bool verified = false;
+  std::string doubt;
   Progress progress(name);
   for (std::size_t k = 0; k < source.stamps_ns.size(); ++k)
   {
@@ -228,8 +231,15 @@ MethodResult runMethod(const std::string& name, const ExposureSource& source, Ct
     {
       problems.push_back("frame " + std::to_string(k) + " of " + name + " lost: " + answer.record.reason);
     }
+    verified = verified || answer.record.unverified.empty();
+    doubt = answer.record.unverified;
     records.add(k, source.stamps_ns[k], name, answer.record);
     progress(k + 1, source.stamps_ns.size());
+  }
+  // Tracking alone verifies nothing, but beside a CT that can.
+  if (!verified && (needsCt(name) || source.setup.ct_path.empty()))
+  {
+    problems.push_back("nothing was verified, the poses of " + name + " may all be wrong: " + doubt);
   }
   return result;
 }
@@ -331,7 +341,7 @@ int main(int argc, char** argv)
       "fast as the machine goes, and judges them as evaluate_bag does: report.html, what it is made of, a table. The "
       "same\n"
       "exposures give the same files to the last bit, but for times.csv and the report. Exit status 0 only if every\n"
-      "method has a pose of every exposure.";
+      "method has a pose of every exposure, and those that register had some verified (without a CT nothing can).";
   command_line.options.add_options()("sequence", po::value<std::string>(), "sequence folder")(
       "bag", po::value<std::string>(), "bag with image_raw and camera_info of every detector")(
       "setup", po::value<std::string>(), "of a bag: geometry, CT, initial pose, target box; default: the one in it")(

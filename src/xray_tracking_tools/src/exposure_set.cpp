@@ -21,12 +21,12 @@ ExposureSet sequenceExposures(const std::string& folder)
   const Sequence sequence = loadSequence(folder);
   ExposureSet set;
   set.setup = sequence.setup;
-  for (const Exposure& exposure : sequence.exposures)
+  for (std::size_t k = 0; k < sequence.exposures.size(); ++k)
   {
     std::vector<cv::Mat> images;
-    for (std::size_t d = 0; d < exposure.files.size(); ++d)
+    for (std::size_t d = 0; d < sequence.setup.detectors.size(); ++d)
     {
-      images.push_back(readXrayImage(exposure.files[d], sequence.setup.detectors[d], sequence.setup.intensity));
+      images.push_back(sequence.image(k, d));
     }
     set.images.push_back(images);
   }

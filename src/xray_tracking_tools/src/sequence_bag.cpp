@@ -64,10 +64,10 @@ void writeExposures(const Sequence& sequence, rosbag::Bag& bag,
     for (std::size_t d = 0; d < camera_infos.size(); ++d)
     {
       const ProjectionGeometry& detector = sequence.setup.detectors[d];
-      const cv::Mat image = readXrayImage(exposure.files[d], detector, sequence.setup.intensity);
       camera_infos[d].header.stamp = stamp;
       bag.write("/" + detector.name() + "/camera_info", stamp, camera_infos[d]);
-      bag.write("/" + detector.name() + "/image_raw", stamp, imageMessage(image, detector.name(), stamp));
+      bag.write("/" + detector.name() + "/image_raw", stamp,
+                imageMessage(sequence.image(k, d), detector.name(), stamp));
     }
     if (!sequence.gold_standard.empty())
     {

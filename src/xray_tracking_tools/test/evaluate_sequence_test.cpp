@@ -233,6 +233,41 @@ TEST_F(SharedSequence, ThreeMethodsOfOneRunAreAsGoodAsTheLiveGraph)
   }
 }
 
+/// Of images that are taken for bright bone tracks are good, but nothing says where the target is: that is a failure,
+/// with or without a gold standard that knows better. Without a CT nothing can be verified.
+TEST_F(SharedSequence, NothingVerifiedIsAFailureInWords)
+{
+  std::string text = contents(sequence + "/sequence.yaml");
+  const auto replace = [&text](const std::string& from, const std::string& to)
+  {
+    const std::size_t at = text.find(from);
+    ASSERT_NE(at, std::string::npos) << from;
+    text.replace(at, from.size(), to);
+  };
+  replace("ct: ../../thorax_ct", "ct: " + sequence + "/../../thorax_ct");
+  replace("kind: counts", "kind: attenuation");
+  replace("frames: ", "frames: " + sequence + "/");
+  replace("gold_standard: ", "gold_standard: " + sequence + "/");
+  const auto evaluate = [&](const std::string& method)
+  {
+    std::ofstream(folder.file("sequence.yaml")) << text;
+    return run("evaluate_sequence --no_report --frames 3 --sequence " + folder.file("") + " --methods " + method +
+               " --out " + folder.file("out"));
+  };
+  for (const std::string method : { "tracking_and_registration", "tracking" })
+  {
+    if (method == "tracking")
+    {
+      replace("ct: ", "no_ct: ");
+    }
+    const CommandResult result = evaluate(method);
+    EXPECT_EQ(1, result.status) << method;
+    EXPECT_NE(result.output.find("nothing was verified, the poses of " + method + " may all be wrong: "),
+              std::string::npos)
+        << result.output;
+  }
+}
+
 TEST_F(SharedSequence, IsTheSameToTheLastByteAndFromABag)
 {
   const std::string methods = " --no_report --frames 6 --methods tracking,tracking_and_registration --out ";

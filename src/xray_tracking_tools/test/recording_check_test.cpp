@@ -365,6 +365,34 @@ INSTANTIATE_TEST_SUITE_P(
                 },
                 { "camera_info_invalid" },
                 "detector_b/camera_info: 6 of 6" },
+        Defect{ "binned",
+                [](Good& g)
+                {
+                  for (auto& info : g.infos[0])
+                  {
+                    info.message.binning_x = 2;
+                    info.message.binning_y = 2;
+                  }
+                },
+                { "camera_info_invalid" },
+                "binning_x" },
+        Defect{ "stuckPixels",
+                [](Good& g)
+                {
+                  // 3 % of them, apart from each other: every 6th of every 6th row.
+                  for (int k = 0; k < kExposures; ++k)
+                  {
+                    for (int y = 2; y < kEdge; y += 6)
+                    {
+                      for (int x = 2; x < kEdge; x += 6)
+                      {
+                        g.pixels(0, k).at<std::uint16_t>(y, x) = 40;
+                      }
+                    }
+                  }
+                },
+                { "image_stuck" },
+                "stuck or written over" },
         Defect{ "otherFrame",
                 [](Good& g)
                 {
@@ -532,15 +560,39 @@ TEST(CheckBag, ComparesTheInitialPoseWithTheImages)
   other.hu[0] ^= 1;
   writeCtVolume(other, folder.file("ct.nrrd"));
   EXPECT_EQ(std::set<std::string>{ "ct_changed" }, codesOf(checkBag(folder.file("x.bag"), "")));
+  writeCt(folder.file("ct.nrrd"));
+  const auto checked = [&]
+  {
+    saveTreatmentSetup(setup, folder.file("setup.yaml"));
+    return checkBag(folder.file("x.bag"), folder.file("setup.yaml"));
+  };
   setup = made.setup;
   setup.target_box.translate(Eigen::Vector3d(0.0, 0.0, 500.0));
   setup.room_from_patient = right * Eigen::Translation3d(0.0, 0.0, -500.0);
-  saveTreatmentSetup(setup, folder.file("setup.yaml"));
-  const std::vector<Finding> outside = checkBag(folder.file("x.bag"), folder.file("setup.yaml"));
-  EXPECT_EQ(1u, codesOf(outside).count("target_outside_ct")) << linesOf(outside);
+  EXPECT_EQ(1u, codesOf(checked()).count("target_outside_ct")) << linesOf(checked());
+  setup = made.setup;
+  setup.target_box = Eigen::AlignedBox3d(Eigen::Vector3d(30.0, 215.0, -558.0), Eigen::Vector3d(36.0, 221.0, -552.0));
+  EXPECT_EQ(1u, codesOf(checked()).count("target_without_bone")) << linesOf(checked());
+
+  // What no other reading explains: found from afar, not found; and no exposure to judge it by.
+  setup = made.setup;
+  setup.room_from_patient.pretranslate(Eigen::Vector3d(12.0, 0.0, 6.0));
+  EXPECT_EQ(std::set<std::string>{ "initial_pose_far" }, codesOf(checked())) << linesOf(checked());
+  setup.room_from_patient = right;
+  setup.room_from_patient.pretranslate(Eigen::Vector3d(0.0, 30.0, 30.0));
+  EXPECT_EQ(std::set<std::string>{ "initial_pose_doubtful" }, codesOf(checked())) << linesOf(checked());
+  Good dark = made;
+  for (int k = 0; k < kExposures; ++k)
+  {
+    dark.pixels(0, k).setTo(90);
+  }
+  dark.write(folder.file("x.bag"));
+  setup = made.setup;
+  EXPECT_EQ((std::set<std::string>{ "image_nothing", "initial_pose_unchecked" }), codesOf(checked()))
+      << linesOf(checked());
+
   setup.ct_path = "/nowhere/ct.nrrd";
-  saveTreatmentSetup(setup, folder.file("setup.yaml"));
-  EXPECT_EQ(1u, codesOf(checkBag(folder.file("x.bag"), folder.file("setup.yaml"))).count("ct_unreadable"));
+  EXPECT_EQ(1u, codesOf(checked()).count("ct_unreadable"));
 }
 
 TEST(CheckBag, NeedsNoSetupAndSurvivesAnyFile)

@@ -206,7 +206,7 @@ void expectSame(const Sequence& a, const Sequence& b)
     for (std::size_t d = 0; d < a.setup.detectors.size(); ++d)
     {
       const auto read = [&](const Sequence& sequence)
-      { return readXrayImage(sequence.exposures[k].files[d], sequence.setup.detectors[d], sequence.setup.intensity); };
+      { return sequence.image(k, d); };
       EXPECT_EQ(0, cv::norm(read(a), read(b), cv::NORM_INF));
     }
   }
@@ -283,8 +283,7 @@ TEST(BagSequence, TakesWhatIsComplete)
   const Sequence sequence = loadSequence(folder.file("sequence"));
   ASSERT_EQ(3u, sequence.exposures.size());
   EXPECT_EQ(1600000002000000007, sequence.exposures[1].stamp_ns);
-  EXPECT_EQ(21, readXrayImage(sequence.exposures[1].files[1], sequence.setup.detectors[1], sequence.setup.intensity)
-                    .at<std::uint16_t>(3, 3));
+  EXPECT_EQ(21, sequence.image(1, 1).at<std::uint16_t>(3, 3));
   EXPECT_DOUBLE_EQ(100.0 + 2.0 / 3.0, sequence.gold_standard[1].room_from_patient.translation().x());
   EXPECT_EQ(6, std::distance(std::filesystem::directory_iterator(folder.file("sequence")), {}) - 3);
 }

@@ -14,4 +14,14 @@ cv::Mat attenuationImage(const cv::Mat& image, const IntensityModel& intensity)
   }
   return values;
 }
+
+double airCounts(const cv::Mat& image, const IntensityModel& intensity)
+{
+  double brightest = 0.0;
+  if (!intensity.air_counts)
+  {
+    cv::minMaxLoc(image, nullptr, &brightest);
+  }
+  return intensity.air_counts.value_or(brightest);
+}
 }  // namespace xray_tracking

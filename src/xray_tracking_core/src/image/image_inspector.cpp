@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
+#include <iomanip>
 #include <limits>
 #include <sstream>
 #include <stdexcept>
@@ -198,13 +199,12 @@ std::string ImageReport::describe() const
     return nothing;
   }
   std::ostringstream text;
-  text.precision(2);
   const char* separator = "";
   const auto tell = [&](double share, const char* what)
   {
     if (share > 0.0)
     {
-      text << separator << 100.0 * share << " % " << what;
+      text << separator << std::setprecision(share < 0.995 ? 2 : 3) << 100.0 * share << " % " << what;
       separator = ", ";
     }
   };

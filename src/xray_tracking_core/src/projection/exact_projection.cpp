@@ -86,7 +86,20 @@ void forEachSegment(const IndexRay& ray, const Eigen::Vector3d& lowest, const Ei
 
 double trilinear(const ScalarVolume& volume, const Eigen::Vector3d& index)
 {
-  const Eigen::Vector3i low = index.array().floor().cast<int>();
+  const Eigen::Array3d floor = index.array().floor();
+  const Eigen::Vector3i low = floor.cast<int>();
+  if ((low.array() >= 0).all() && (low.array() + 1 < volume.grid.size.array()).all())
+  {
+    // The same as below, without a look at each corner: nearly all of a volume.
+    const Eigen::Array3d share = index.array() - floor;
+    const std::size_t row = volume.grid.offset(0, 1, 0);
+    const std::size_t slice = volume.grid.offset(0, 0, 1);
+    const auto* corner = &volume.values[volume.grid.offset(low.x(), low.y(), low.z())];
+    const auto along = [](double a, double b, double t) { return a + t * (b - a); };
+    const auto edge = [&](std::size_t at) { return along(corner[at], corner[at + 1], share.x()); };
+    const auto face = [&](std::size_t at) { return along(edge(at), edge(at + row), share.y()); };
+    return along(face(0), face(slice), share.z());
+  }
   double sum = 0.0;
   for (int corner = 0; corner < 8; ++corner)
   {

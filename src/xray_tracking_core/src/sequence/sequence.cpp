@@ -223,7 +223,48 @@ std::vector<StampedPose> readGoldStandard(const std::vector<Exposure>& exposures
   }
   return poses;
 }
+/// The list of detectors, which may be another file's.
+YamlField detectorList(const std::string& path)
+{
+  const YamlField list = YamlField::fromFile(path).get("detectors");
+  return list.isScalar() ? YamlField::fromFile((std::filesystem::absolute(path).parent_path() / list.text()).string())
+                               .get("detectors")
+                         : list;
+}
+
+LensDistortion readDistortion(const YamlField& field, const ProjectionGeometry& detector)
+{
+  std::vector<double> coefficients;
+  field.get("coefficients").forEachItem([&](const YamlField& item) { coefficients.push_back(item.number<double>()); });
+  try
+  {
+    return { field.get("model").text(), coefficients, detector };
+  }
+  catch (const std::invalid_argument& error)
+  {
+    throw std::runtime_error(field.where() + ": " + error.what());
+  }
+}
 }  // namespace
+
+cv::Mat Sequence::image(std::size_t exposure, std::size_t detector) const
+{
+  const cv::Mat image = readXrayImage(exposures[exposure].files[detector], setup.detectors[detector], setup.intensity);
+  return distortions[detector].undo(image, setup.intensity.kind);
+}
+
+std::vector<LensDistortion> loadDistortions(const std::string& path, const std::vector<ProjectionGeometry>& detectors)
+{
+  std::vector<LensDistortion> distortions;
+  detectorList(path).forEachItem(
+      [&](const YamlField& item)
+      {
+        const auto distortion = item.find("distortion");
+        distortions.push_back(distortion ? readDistortion(*distortion, detectors.at(distortions.size()))
+                                         : LensDistortion());
+      });
+  return distortions;
+}
 
 std::vector<StampedPose> loadPoses(const std::string& path)
 {
@@ -282,6 +323,7 @@ Sequence loadSequence(const std::string& directory)
   const std::string path = (folder / "sequence.yaml").string();
   Sequence sequence;
   sequence.setup = loadTreatmentSetup(path);
+  sequence.distortions = loadDistortions(path, sequence.setup.detectors);
   const YamlField root = YamlField::fromFile(path);
   double tolerance_s = kPairingTolerance;
   if (const auto tolerance = root.find("pairing_tolerance"))

@@ -263,6 +263,10 @@ std::string selfContainedSetup(const std::string& path)
   root.SetStyle(YAML::EmitterStyle::Block);
   root.remove("frames");
   root.remove("gold_standard");
+  for (YAML::Node detector : root["detectors"])
+  {
+    detector.remove("distortion");
+  }
   std::ostringstream text;
   text << root << "\n";
   return text.str();

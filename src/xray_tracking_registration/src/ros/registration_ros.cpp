@@ -9,6 +9,7 @@
 
 #include "processor_clock.h"
 #include "xray_tracking_conversions/conversions.h"
+#include "xray_tracking_core/image/attenuation.h"
 #include "xray_tracking_core/volume/neck_phantom.h"
 #include "xray_tracking_registration/refinement_messages.h"
 
@@ -188,6 +189,25 @@ RegistrationRos::RefinementResult RegistrationRos::serve(const RefinementRequest
   return result;
 }
 
+namespace
+{
+/// Once: what stands for a figure that the setup does not give.
+void sayAirCounts(const RegistrationRequest& request)
+{
+  if (request.intensity.kind != IntensityModel::Kind::COUNTS || request.intensity.air_counts)
+  {
+    return;
+  }
+  std::ostringstream views;
+  for (const RegistrationView& view : request.views)
+  {
+    views << ", " << airCounts(view.image, request.intensity) << " of " << view.geometry.name();
+  }
+  ROS_INFO_STREAM_ONCE("intensity.air_counts is not given: estimated in each image as its brightest pixel"
+                       << views.str());
+}
+}  // namespace
+
 RegistrationRos::RefinementResult RegistrationRos::refine(const RefinementRequest& message, const Progress& progress,
                                                           std::int64_t& stamp_ns)
 {
@@ -235,6 +255,7 @@ RegistrationRos::RefinementResult RegistrationRos::refine(const RefinementReques
       views = std::move(found->views);
     }
     RegistrationRequest request = requestFor(views, message, progress);
+    sayAirCounts(request);
     applyRequest(message, setup_, request);
     sequence_->setRegistration(std::move(registration));
     return resultMessage(sequence_->run(std::move(request), kept ? std::optional<std::int64_t>(stamp_ns) : std::nullopt,

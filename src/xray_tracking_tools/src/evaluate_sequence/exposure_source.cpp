@@ -197,8 +197,7 @@ ExposureSource sequenceSource(const std::string& folder)
     std::vector<cv::Mat> images;
     for (std::size_t d = 0; d < sequence->setup.detectors.size(); ++d)
     {
-      images.push_back(
-          readXrayImage(sequence->exposures[k].files[d], sequence->setup.detectors[d], sequence->setup.intensity));
+      images.push_back(sequence->image(k, d));
     }
     return images;
   };

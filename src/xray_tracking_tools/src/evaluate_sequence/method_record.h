@@ -22,6 +22,7 @@ struct ExposureRecord
   std::string reason;  ///< why there is no pose, or why it is not a registered one
   std::string gate;    ///< why the beam is held, as gateReasonName(); NONE: it is not
   std::string gate_text;
+  std::string unverified;  ///< why nothing says that the pose is right; empty where it is verified
   double disagreement_px = std::numeric_limits<double>::quiet_NaN();
   double chi_square = std::numeric_limits<double>::quiet_NaN();
   int degrees_of_freedom = 0;

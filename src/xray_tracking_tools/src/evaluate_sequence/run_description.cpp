@@ -15,6 +15,7 @@
 #include <opencv2/core.hpp>
 
 #include "revision.h"
+#include "xray_tracking_core/image/attenuation.h"
 #include "xray_tracking_core/volume/ct_content.h"
 #include "xray_tracking_hyperplane_tracker/tracker_parameters.h"
 #include "xray_tracking_motion_estimation/motion_monitor_options.h"
@@ -151,13 +152,38 @@ json describeSetup(const TreatmentSetup& setup)
            { "ct_content", nameOf(setup.ct_content) } };
 }
 
+std::string describeAir(const ExposureSource& source)
+{
+  const IntensityModel& intensity = source.setup.intensity;
+  std::ostringstream text;
+  if (intensity.kind != IntensityModel::Kind::COUNTS)
+  {
+    text << "none: attenuation";
+  }
+  else if (intensity.air_counts)
+  {
+    text << *intensity.air_counts;
+  }
+  else
+  {
+    text << "estimated in each image as its brightest pixel; of the first exposure";
+    const std::vector<cv::Mat> images = source.images(0);
+    for (std::size_t d = 0; d < images.size(); ++d)
+    {
+      text << (d == 0 ? " " : ", ") << airCounts(images[d], intensity) << " of " << source.setup.detectors[d].name();
+    }
+  }
+  return text.str();
+}
+
 /// The defaults that all methods but the paper's run with, which has its own (offline_run.cpp, paper_registration.cpp).
-json describeSettings()
+json describeSettings(const ExposureSource& source)
 {
   const TrackerParameters tracker;
   const MotionMonitorOptions monitor;
   const RegistrationOptions registration;
-  return { { "tracker model", tracker.model_by_data ? "by data: euclidean or translation" : "fixed" },
+  return { { "air counts", describeAir(source) },
+           { "tracker model", tracker.model_by_data ? "by data: euclidean or translation" : "fixed" },
            { "tracker resolution [mm]", tracker.resolution },
            { "tracker ranges [mm]", tracker.ranges },
            { "registration optimiser",
@@ -196,6 +222,6 @@ json describeRun(const ExposureSource& source, const std::vector<std::string>& m
            { "methods", methods },
            { "inputs", inputs },
            { "setup", describeSetup(source.setup) },
-           { "settings", describeSettings() } };
+           { "settings", describeSettings(source) } };
 }
 }  // namespace xray_tracking

@@ -245,6 +245,7 @@ std::vector<Finding> checkSequence(const std::string& folder)
   try
   {
     const TreatmentSetup setup = loadTreatmentSetup(path);
+    const std::vector<LensDistortion> distortions = loadDistortions(path, setup.detectors);
     const std::vector<FrameRow> rows = loadFrameTable(folder);
     RecordingCheck check(setup, namesOf(setup));
     std::set<std::string> unknown;
@@ -267,7 +268,9 @@ std::vector<Finding> checkSequence(const std::string& folder)
       check.addCameraInfo(row.detector, info);
       try
       {
-        check.addImage(row.detector, row.stamp_ns, readXrayImage(row.file, *detector, setup.intensity));
+        check.addImage(row.detector, row.stamp_ns,
+                       distortions[detector - setup.detectors.begin()].undo(
+                           readXrayImage(row.file, *detector, setup.intensity), setup.intensity.kind));
       }
       catch (const std::exception& error)
       {

@@ -17,7 +17,7 @@ constexpr double kDeadLine = 0.6;  // share of a line's pixels inside the field 
 std::string percent(double share, const char* words)
 {
   char text[80];
-  std::snprintf(text, sizeof(text), "%.2g %% %s", 100.0 * share, words);
+  std::snprintf(text, sizeof(text), "%.*g %% %s", share < 0.995 ? 2 : 3, 100.0 * share, words);
   return text;
 }
 

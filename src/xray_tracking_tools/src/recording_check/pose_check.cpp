@@ -228,7 +228,7 @@ private:
 
   void checkCt(bool seen)
   {
-    const PatientCt ct = readPatientCt(setup_.ct_path, setup_.ct_content);
+    const PatientCt ct = readPatientCt(setup_.ct_path, setup_.ct_content, setup_.ct_choice);
     // A voxel more than its centres: boxes are given to the CT's edge, and rounded.
     const Eigen::AlignedBox3d centres = ct.volume.grid.extent();
     const Eigen::Vector3d voxel = Eigen::Vector3d::Constant(ct.volume.grid.spacing().maxCoeff());

@@ -51,7 +51,7 @@ constexpr Kind kKinds[] = {
   { "image_collimated", Weight::BY_SHARE, "the target inside the field of X-rays",
     "open the collimator, or take a smaller target_box_mm or region" },
   { "camera_info_invalid", Weight::ERROR, "a pinhole camera without distortion, binning or a cut-out",
-    "undistort the images, and have the driver publish what is left as K and P" },
+    "undistort the images by the node image_rectifier, and record what it publishes" },
   { "camera_info_changed", Weight::ERROR, "the same camera_info in all of a recording",
     "cut the recording where the geometry changes" },
   { "camera_info_differs", Weight::ERROR, "the setup's detector", "take the setup of this room, or calibrate anew" },

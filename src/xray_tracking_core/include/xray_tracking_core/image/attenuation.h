@@ -10,4 +10,8 @@ namespace xray_tracking
 /// which is the attenuation but for a constant.
 /// @param image one channel, of any depth. @return of its size, CV_32FC1
 cv::Mat attenuationImage(const cv::Mat& image, const IntensityModel& intensity);
+
+/// Counts behind air alone, offset included: as the intensity model states them, or, estimated, those of the image's
+/// brightest pixel. @param image one channel, of any depth
+double airCounts(const cv::Mat& image, const IntensityModel& intensity);
 }  // namespace xray_tracking

@@ -6,6 +6,7 @@
 
 #include <opencv2/core.hpp>
 
+#include "xray_tracking_core/image/lens_distortion.h"
 #include "xray_tracking_core/sequence/treatment_setup.h"
 
 namespace xray_tracking
@@ -33,9 +34,20 @@ struct Sequence
 {
   TreatmentSetup setup;
   std::vector<Exposure> exposures;
-  std::vector<StampedPose> gold_standard;  ///< empty, or one for each exposure
-  std::vector<std::string> tables;         ///< absolute paths of sequence.yaml and what it names but images and CT
+  std::vector<StampedPose> gold_standard;   ///< empty, or one for each exposure
+  std::vector<std::string> tables;          ///< absolute paths of sequence.yaml and what it names but images and CT
+  std::vector<LensDistortion> distortions;  ///< of the setup's detectors, in their order
+
+  /// The image that a detector's projection describes: readXrayImage(), undistorted.
+  /// @param exposure, detector indices. @return CV_16UC1. @throws std::runtime_error as readXrayImage()
+  cv::Mat image(std::size_t exposure, std::size_t detector) const;
 };
+
+/// What `distortion` of a setup file's detectors says, {model: plumb_bob or rational_polynomial, coefficients: [...]}.
+/// It tells of the images that a sequence's files hold; whoever reads these takes it out, once.
+/// @param detectors the file's, as loadTreatmentSetup() reads them. @return one for each, in their order
+/// @throws std::runtime_error naming file, key and value, and what LensDistortion says
+std::vector<LensDistortion> loadDistortions(const std::string& path, const std::vector<ProjectionGeometry>& detectors);
 
 /// A row of a sequence's table of frames.
 struct FrameRow
@@ -56,9 +68,9 @@ std::string goldStandardPath(const std::string& directory);
 
 /// Reads `DIR/sequence.yaml` and the tables it names; images are only looked for, not read. Stamps must be plain
 /// decimal numbers ("1699999999.25"; no sign, no exponent) from 0 to less than 2^32 s; digits after the ninth are
-/// rounded. Rows of one exposure may differ by `pairing_tolerance` [s] of sequence.yaml (0 to 1, default kPairingTolerance, as
-/// motion_estimation's parameter); the exposure's stamp is that of the first detector. The gold standard may have rows
-/// between the exposures, which are left out, and tables may have further columns.
+/// rounded. Rows of one exposure may differ by `pairing_tolerance` [s] of sequence.yaml (0 to 1, default
+/// kPairingTolerance, as motion_estimation's parameter); the exposure's stamp is that of the first detector. The gold
+/// standard may have rows between the exposures, which are left out, and tables may have further columns.
 /// @throws std::runtime_error naming the file, the line and what is wrong: stamps that do not grow, a detector without
 /// an image in an exposure or with two, an unknown detector, a missing image, a pose that is not finite or whose
 /// quaternion is not of unit norm, a gold standard without an exposure's stamp.

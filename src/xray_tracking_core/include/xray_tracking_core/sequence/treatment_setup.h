@@ -61,7 +61,7 @@ TreatmentSetup treatmentSetupFromText(const std::string& text, const std::string
 
 /// A setup file's text that says the same wherever it stands, for treatmentSetupFromText(): the CT's path is absolute,
 /// the detectors' are in it. Numbers stand there digit by digit as in the file. A block of keys, one a line, without
-/// the tables that it may name.
+/// the tables that it may name, and without `distortion`: what a graph takes and a bag holds is undistorted.
 /// @throws std::runtime_error as loadTreatmentSetup()
 std::string selfContainedSetup(const std::string& path);
 
