@@ -7,7 +7,8 @@
 #include <numeric>
 #include <stdexcept>
 #include <string>
-#include "several_processors.h"
+
+#include "xray_tracking_core/several_processors.h"
 
 #include "xray_tracking_core/image/attenuation.h"
 

@@ -3,8 +3,11 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <exception>
 #include <numeric>
+#include <optional>
 #include <stdexcept>
+#include <utility>
 
 #include <tbb/parallel_for.h>
 
@@ -22,7 +25,7 @@ namespace
 constexpr double kAside = 3.0;  // where less alike is asked for: twice what a believed result is off by [mm]
 constexpr double kShift = 8.0;  // what Path::SHIFT looks for, at most [mm]
 constexpr Resolution kMedium{ 1.1, 3.5 };
-constexpr Resolution kShifted{ 2.2, 3.5 };
+constexpr Resolution kShifted{ 2.2, 3.5, kShift };
 constexpr Resolution kFineWide{ 1.1, 11.0 };  // for similarities that live on the large structures too
 constexpr Descent kTogether{ 12, 3e-3 };
 constexpr Descent kApart{ 8, 3e-3 };
@@ -79,14 +82,34 @@ Descender::Descender(const Bodies& bodies, const Eigen::AlignedBox3d& target_box
 std::vector<ViewLevel> Descender::makeViews(const Run& run, const PosePair& poses, const Resolution& resolution) const
 {
   const std::vector<PlacedEnds> ends{ { bodies_.target_ends, poses.target }, { bodies_.rest_ends, poses.rest } };
+  std::vector<std::optional<ViewLevel>> made(run.attenuation.size());
+  std::vector<std::exception_ptr> errors(made.size());
+  tbb::parallel_for(std::size_t{ 0 }, made.size(),
+                    [&](std::size_t v)
+                    {
+                      try
+                      {
+                        const RegistrationView& view = run.request.views[v];
+                        const double magnification = view.geometry.magnification(poses.target * bodies_.centre);
+                        const Resolution able{ magnification * std::max(resolution.bin_mm, 0.5 * voxel_edge_),
+                                               magnification * std::max(resolution.highpass_mm, voxel_edge_),
+                                               magnification * resolution.around_mm };
+                        made[v].emplace(view.geometry, run.attenuation[v], view.usable, region(view, poses.target),
+                                        able, ends);
+                      }
+                      catch (...)
+                      {
+                        errors[v] = std::current_exception();
+                      }
+                    });
   std::vector<ViewLevel> views;
-  for (std::size_t v = 0; v < run.attenuation.size(); ++v)
+  for (std::size_t v = 0; v < made.size(); ++v)
   {
-    const RegistrationView& view = run.request.views[v];
-    const double magnification = view.geometry.magnification(poses.target * bodies_.centre);
-    const Resolution able{ magnification * std::max(resolution.bin_mm, 0.5 * voxel_edge_),
-                           magnification * std::max(resolution.highpass_mm, voxel_edge_) };
-    views.emplace_back(view.geometry, run.attenuation[v], view.usable, region(view, poses.target), able, ends);
+    if (errors[v])
+    {
+      std::rethrow_exception(errors[v]);  // of several the first view's, however they were looked at
+    }
+    views.push_back(std::move(*made[v]));
   }
   return views;
 }
@@ -183,7 +206,7 @@ void Descender::follow(const Run& run, Path path, PosePair& poses) const
   {
     if (run.control.mayRender(poses.target, 0.0))
     {
-      const Eigen::Vector3d shift = mostAlikeShift(run, bodies_, makeViews(run, poses, kShifted), poses,
+      const Eigen::Vector3d shift = mostAlikeShift(bodies_, makeViews(run, poses, kShifted), poses,
                                                    std::min(kShift, run.request.max_translation_mm));
       PosePair shifted =
           moved(poses, (Twist() << Eigen::Vector3d::Zero(), shift).finished(), bodies_.centre, together());
@@ -335,7 +358,7 @@ void Descender::judge(const Run& run, const FineLevel& fine, Outcome& outcome) c
     figures.pull_mm = std::max(figures.pull_mm, view.pull_mm);
   }
   figures.expected_error_mm = expectedError(spread.tiles, poses.target, box_);
-  const Distinctness distinctness = distinctnessOf(run, fine, poses.target * bodies_.centre);
+  const Distinctness distinctness = distinctnessOf(fine, poses.target * bodies_.centre);
   figures.here = distinctness.here;
   figures.rival = distinctness.rival;
   figures.distinctness = distinctness.z;

@@ -14,7 +14,7 @@
 namespace xray_tracking
 {
 constexpr Resolution kCoarse{ 2.2, 11.0 };
-constexpr Resolution kFine{ 1.1, 1.1 };
+constexpr Resolution kFine{ 1.1, 1.1, 25.0 };
 
 /// Which levels a descent goes through before the finest one.
 enum class Path

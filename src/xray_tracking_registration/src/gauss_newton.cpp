@@ -80,13 +80,13 @@ bool isSlight(const Eigen::VectorXd& twists, const PosePair& after, const PosePa
 void moveModels(const std::vector<ViewLevel>& views, const Eigen::VectorXd& twists, const PosePair& after,
                 const PosePair& before, Linearisation& at)
 {
-  Eigen::VectorXf step(twists.size() + 1);
-  step.head(twists.size()) = twists.cast<float>();
-  for (std::size_t v = 0; v < views.size(); ++v)
-  {
-    step[twists.size()] = static_cast<float>(after.saturation[v] - before.saturation[v]);
-    views[v].move(step, at.models[v]);
-  }
+  tbb::parallel_for(std::size_t{ 0 }, views.size(),
+                    [&](std::size_t v)
+                    {
+                      Eigen::VectorXf step(twists.size() + 1);
+                      step << twists.cast<float>(), static_cast<float>(after.saturation[v] - before.saturation[v]);
+                      views[v].move(step, at.models[v]);
+                    });
 }
 
 /// Whether a step moves the target by next to nothing.
@@ -159,16 +159,28 @@ Twist RestPrior::deviation(const PosePair& poses, const Eigen::Vector3d& centre)
   return twistAbout(poses.target * centre, poses.rest * (poses.target * target_from_rest).inverse());
 }
 
+std::vector<WeighedSums> weighedSumsOf(const std::vector<ViewLevel>& views, const Linearisation& at)
+{
+  std::vector<WeighedSums> sums(views.size());
+  tbb::parallel_for(std::size_t{ 0 }, views.size(),
+                    [&](std::size_t v)
+                    {
+                      const ViewModel& model = at.models[v];
+                      sums[v] = weighedSums(model.derivatives, at.weights[v], views[v].measured() - model.image);
+                    });
+  return sums;
+}
+
 NormalEquations normalEquations(const std::vector<ViewLevel>& views, const Linearisation& at, const RestPrior& prior,
                                 const PosePair& poses, const Eigen::Vector3d& centre)
 {
   const Eigen::Index twists = at.models.front().twists;
   const auto unknowns = twists + static_cast<Eigen::Index>(views.size());
   NormalEquations equations{ Eigen::MatrixXd::Zero(unknowns, unknowns), Eigen::VectorXd::Zero(unknowns) };
+  const std::vector<WeighedSums> of_views = weighedSumsOf(views, at);
   for (std::size_t v = 0; v < views.size(); ++v)
   {
-    const ViewModel& model = at.models[v];
-    const WeighedSums sums = weighedSums(model.derivatives, at.weights[v], views[v].measured() - model.image);
+    const WeighedSums& sums = of_views[v];
     const auto k = twists + static_cast<Eigen::Index>(v);
     equations.information.topLeftCorner(twists, twists) += sums.squares.topLeftCorner(twists, twists);
     equations.information.col(k).head(twists) = sums.squares.col(twists).head(twists);

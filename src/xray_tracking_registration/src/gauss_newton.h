@@ -39,6 +39,9 @@ Linearisation linearise(const std::vector<ViewLevel>& views, const Bodies& bodie
 /// Correlation coefficient of every view at a pose.
 std::vector<double> similarities(const std::vector<ViewLevel>& views, const Bodies& bodies, const PosePair& poses);
 
+/// Of every view: its derivatives' sums and those with what the model leaves over, by the linearisation's weights.
+std::vector<WeighedSums> weighedSumsOf(const std::vector<ViewLevel>& views, const Linearisation& at);
+
 /// Normal equations of a linearisation; unknowns are the twists [rad, mm], then the saturation of every view.
 struct NormalEquations
 {

@@ -88,13 +88,34 @@ cv::Mat RestRendering::at(const RigidTransform& other_room_from_rest) const
   return there;
 }
 
-ViewLevel::ViewLevel(const ProjectionGeometry& geometry, const AttenuationImage& attenuation, const cv::Mat& usable,
-                     const cv::Rect& region, const Resolution& resolution, const std::vector<PlacedEnds>& ends,
-                     double least_share)
-  : geometry_(&geometry), resolution_(resolution), blur_(1.0)
+HighPass::HighPass(const RunningBlur& blur, const cv::Mat& counts, int border)
+  : blur_(blur), counts_(counts), inner_(border, border, counts.cols - 2 * border, counts.rows - 2 * border)
 {
-  const int bin = std::max(1, static_cast<int>(std::lround(resolution.bin_mm / geometry.pixelPitch().mean())));
-  const double sigma = resolution.highpass_mm / (bin * geometry.pixelPitch().mean());
+  cv::Mat share = counts.clone();
+  blur_(share);
+  counted_inverse_ = counts_ / cv::max(share, 1e-3);
+}
+
+cv::Mat HighPass::operator()(const cv::Mat& image) const
+{
+  const cv::Mat counted = image.mul(counts_);
+  cv::Mat means = counted.clone();
+  blur_(means);
+  return (counted - means.mul(counted_inverse_))(inner_);
+}
+
+PixelRows HighPass::operator()(const PixelRows& rows) const
+{
+  return blur_.withoutMeans(rows, counts_.size(), counted_inverse_, inner_);
+}
+
+ViewLevel::ViewLevel(const ProjectionGeometry& geometry, const AttenuationImage& attenuation, const cv::Mat& usable,
+                     const cv::Rect& region, const Resolution& resolution, const std::vector<PlacedEnds>& ends)
+  : geometry_(&geometry), blur_(1.0)
+{
+  const double pitch = geometry.pixelPitch().mean();
+  const int bin = std::max(1, static_cast<int>(std::lround(resolution.bin_mm / pitch)));
+  const double sigma = resolution.highpass_mm / (bin * pitch);
   blur_ = RunningBlur(sigma);
   // Beyond a few bins the border only has to tell the local mean roughly.
   border_ = static_cast<int>(std::ceil(std::min(sigma, 4.0))) + 1;
@@ -105,7 +126,6 @@ ViewLevel::ViewLevel(const ProjectionGeometry& geometry, const AttenuationImage&
                       static_cast<int>(std::ceil(double(region.y + region.height) / bin)) + border_);
   const cv::Rect bordered = cv::Rect(first, end) & bins;
   size_ = bordered.size() - cv::Size(2 * border_, 2 * border_);
-  first_ = bordered.tl() + cv::Point(border_, border_);
   if (size_.width < kMinEdge || size_.height < kMinEdge)
   {
     throw std::invalid_argument("view " + geometry.name() + ": the region to compare has " +
@@ -115,9 +135,14 @@ ViewLevel::ViewLevel(const ProjectionGeometry& geometry, const AttenuationImage&
   }
   const cv::Rect pixels(bordered.x * bin, bordered.y * bin, bordered.width * bin, bordered.height * bin);
   grid_ = PixelGrid::binnedRegion({ pixels.x, pixels.y }, { pixels.width, pixels.height }, bin);
-  const AttenuationBins image = attenuation.bins(bordered, bin, usable);
-  leaveOut(image.share, ends, least_share);
-  measured_image_ = highPassed(image.mean).clone();
+  const auto around = static_cast<int>(std::ceil(resolution.around_mm / (bin * pitch)));
+  const cv::Rect wide =
+      cv::Rect(bordered.tl() - cv::Point(around, around), bordered.size() + cv::Size(2 * around, 2 * around)) & bins;
+  laid_out_ = attenuation.bins(wide, bin, usable);
+  grid_in_it_ = bordered.tl() - wide.tl();
+  const cv::Rect own(grid_in_it_, bordered.size());
+  leaveOut(laid_out_.share.empty() ? cv::Mat() : laid_out_.share(own), ends);
+  measured_image_ = high_pass_(laid_out_.mean(own)).clone();
   measured_ = flattened(measured_image_);
   if (normalise(measured_) == 0.0f)
   {
@@ -125,8 +150,9 @@ ViewLevel::ViewLevel(const ProjectionGeometry& geometry, const AttenuationImage&
   }
 }
 
-void ViewLevel::leaveOut(const cv::Mat& usable, const std::vector<PlacedEnds>& ends, double least_share)
+void ViewLevel::leaveOut(const cv::Mat& usable, const std::vector<PlacedEnds>& ends)
 {
+  constexpr double kLeastShare = 0.5;
   cv::Mat inside = insideEnds(*geometry_, grid_, ends);
   if (!ends.empty())
   {
@@ -140,13 +166,13 @@ void ViewLevel::leaveOut(const cv::Mat& usable, const std::vector<PlacedEnds>& e
     inside.setTo(0.0f, usable < kUsableShare);
   }
   const double left = cv::mean(inside(without_border))[0];
-  if (left < least_share)
+  if (left < kLeastShare)
   {
-    const std::string why = in_ct < least_share ? "the CT ends inside the region to compare, "
+    const std::string why = in_ct < kLeastShare ? "the CT ends inside the region to compare, "
                                                 : "much of the region to compare is not usable (borders, defects), ";
     throw std::invalid_argument("view " + geometry_->name() + ": " + why +
                                 std::to_string(static_cast<int>(100.0 * left)) + " % of it are left: expected " +
-                                std::to_string(static_cast<int>(100.0 * least_share)) + " % or more");
+                                std::to_string(static_cast<int>(100.0 * kLeastShare)) + " % or more");
   }
   valid_ = flattened(inside(without_border));
   const auto step = std::max(1, static_cast<int>((valid_.array() > 0.0f).count()) / kSample);
@@ -158,18 +184,19 @@ void ViewLevel::leaveOut(const cv::Mat& usable, const std::vector<PlacedEnds>& e
       sample_.push_back(n);
     }
   }
-  counts_ = inside;
-  cv::Mat share = inside.clone();
-  blur_(share);
-  counted_inverse_ = counts_ / cv::max(share, 1e-3);
+  high_pass_ = HighPass(blur_, inside, border_);
 }
 
-cv::Mat ViewLevel::highPassed(const cv::Mat& image) const
+Surroundings ViewLevel::surroundings() const
 {
-  const cv::Mat counted = image.mul(counts_);
-  cv::Mat means = counted.clone();
-  blur_(means);
-  return (counted - means.mul(counted_inverse_))(cv::Rect(border_, border_, size_.width, size_.height));
+  cv::Mat counts(laid_out_.mean.size(), CV_32FC1, cv::Scalar(1.0));
+  if (!laid_out_.share.empty())
+  {
+    counts.setTo(0.0f, laid_out_.share < kUsableShare);
+  }
+  const cv::Size inner = counts.size() - cv::Size(2 * border_, 2 * border_);
+  return { HighPass(blur_, counts, border_)(laid_out_.mean),
+           laid_out_.share.empty() ? cv::Mat() : counts(cv::Rect(cv::Point(border_, border_), inner)), grid_in_it_ };
 }
 
 float ViewLevel::normalise(Eigen::VectorXf& image) const
@@ -199,7 +226,7 @@ void ViewLevel::modelImage(const Bodies& bodies, const RigidTransform& room_from
   bodies.target->render(*geometry_, grid_, room_from_target, room_from_target * bodies.centre, image);
   image += rest;
   saturate(saturation, image);
-  image = highPassed(image);
+  image = high_pass_(image);
 }
 
 double ViewLevel::similarity(const Bodies& bodies, const PosePair& poses, double saturation) const
@@ -256,28 +283,12 @@ void ViewLevel::model(const Bodies& bodies, const PosePair& poses, double satura
   cv::Mat slope;
   cv::Mat by_saturation;
   saturate(saturation, image, slope, by_saturation);
-  slope = slope.mul(counts_);
-  by_saturation = by_saturation.mul(counts_);
   model.twists = moving == Moving::BOTH ? 12 : 6;
-  image = image.mul(counts_);
-  PixelRows rows(image.total(), kPixelRow);
-  for (Eigen::Index n = 0; n < rows.rows(); ++n)
-  {
-    float* row = rows.row(n).data();
-    const float factor = slope.ptr<float>()[n];
-    for (int body = 0; body < model.twists / 6; ++body)
-    {
-      const float* from = derivatives[body].ptr<float>() + 6 * n;
-      row = std::transform(from, from + 6, row, [factor](float value) { return factor * value; });
-    }
-    *row++ = by_saturation.ptr<float>()[n];
-    std::fill(row, rows.row(n).data() + kImage, 0.0f);
-    rows(n, kImage) = image.ptr<float>()[n];
-  }
-  PixelRows means = rows;
-  blur_(means, image.size());
-  model.derivatives =
-      withoutMeans(rows, means, counted_inverse_, cv::Rect(border_, border_, size_.width, size_.height));
+  const PixelRows rows =
+      makeRows({ derivatives[0].ptr<float>(), moving == Moving::BOTH ? derivatives[1].ptr<float>() : nullptr,
+                 by_saturation.ptr<float>(), image.ptr<float>(), slope.ptr<float>(), high_pass_.counts().ptr<float>() },
+               static_cast<int>(image.total()));
+  model.derivatives = high_pass_(rows);
   model.image = model.derivatives.col(kImage);
   model.derivatives.col(kImage).setZero();
   const float norm = normalise(model.image);

@@ -41,8 +41,39 @@ enum class Moving
 /// At what resolution images are compared [mm], here at the target, in ViewLevel on the panel.
 struct Resolution
 {
-  double bin_mm;       ///< edge of the bins
-  double highpass_mm;  ///< standard deviation of the Gaussian that is taken away
+  double bin_mm;           ///< edge of the bins
+  double highpass_mm;      ///< standard deviation of the Gaussian that is taken away
+  double around_mm = 0.0;  ///< how far around the region the image is laid out, too
+};
+
+/// Takes the local mean away where an image counts.
+class HighPass
+{
+public:
+  HighPass() = default;
+  /// @param counts of images with their border, CV_32FC1: 1 for what counts, else 0
+  /// @param border that what comes out does not have [pixels]
+  HighPass(const RunningBlur& blur, const cv::Mat& counts, int border);
+
+  const cv::Mat& counts() const { return counts_; }
+  /// @param image CV_32FC1 with its border @return without it, 0 for what does not count
+  cv::Mat operator()(const cv::Mat& image) const;
+  /// The same with all numbers of a pixel. @param rows with border, times what counts
+  PixelRows operator()(const PixelRows& rows) const;
+
+private:
+  RunningBlur blur_{ 1.0 };
+  cv::Mat counts_;
+  cv::Mat counted_inverse_;  ///< the same by the share of what counts about a pixel
+  cv::Rect inner_;
+};
+
+/// What is measured in and around a region, whether the CT ends there or not.
+struct Surroundings
+{
+  cv::Mat image;     ///< high-passed, CV_32FC1
+  cv::Mat counts;    ///< 1 for bins that count, else 0, CV_32FC1; empty if all do
+  cv::Point region;  ///< its first bin
 };
 
 /// The rest of the body as it was last rendered, to be followed from there to first order. Never written to again, as
@@ -83,21 +114,16 @@ public:
   /// @param region pixels to compare [px]
   /// @param resolution on the panel
   /// @param ends of the CT: what lies behind them does not count
-  /// @param least_share of the region that has to be usable and inside the CT, 0 to 1
-  /// @throws std::invalid_argument naming the view: region outside the image or too small, constant image, too small a
-  ///         share of the region usable and inside the CT
+  /// @throws std::invalid_argument naming the view: region outside the image or too small, constant image, less than
+  ///         half of the region usable and inside the CT
   ViewLevel(const ProjectionGeometry& geometry, const AttenuationImage& attenuation, const cv::Mat& usable,
-            const cv::Rect& region, const Resolution& resolution, const std::vector<PlacedEnds>& ends = {},
-            double least_share = 0.5);
+            const cv::Rect& region, const Resolution& resolution, const std::vector<PlacedEnds>& ends = {});
 
   const ProjectionGeometry& geometry() const { return *geometry_; }
   /// Measured image, high-passed, mean 0, norm 1; row by row.
   const Eigen::VectorXf& measured() const { return measured_; }
   const cv::Size& size() const { return size_; }
-  /// Which bin of the image the first one is: columns, rows. Bins of one size lie alike in all levels of an image.
-  cv::Point firstBin() const { return first_; }
   double bin() const { return grid_.step.x(); }  ///< edge of the bins [px]
-  const Resolution& resolution() const { return resolution_; }
   /// 1 for pixels that count, 0 for unusable ones and where the CT ends; row by row.
   const Eigen::VectorXf& valid() const { return valid_; }
 
@@ -118,6 +144,8 @@ public:
                          double saturation) const;
   /// Measured image, high-passed, not normalised, CV_32FC1.
   const cv::Mat& measuredImage() const { return measured_image_; }
+  /// As far around the region as the image is laid out, for a region that is compared alike.
+  Surroundings surroundings() const;
 
 private:
   /// @param rest line integrals of the rest, of the grid
@@ -126,23 +154,20 @@ private:
   /// @param image high-passed model image
   double similarityTo(const cv::Mat& image) const;
   /// @param usable of the grid, CV_32FC1, share of every bin; empty: all
-  void leaveOut(const cv::Mat& usable, const std::vector<PlacedEnds>& ends, double least_share);
-  /// @param image of the grid, whose local mean is taken away where it counts; 0 elsewhere
-  cv::Mat highPassed(const cv::Mat& image) const;
+  void leaveOut(const cv::Mat& usable, const std::vector<PlacedEnds>& ends);
   /// Brings to mean 0 and norm 1 over the valid pixels; 0 if there is nothing but rounding. @return the norm
   float normalise(Eigen::VectorXf& image) const;
 
   const ProjectionGeometry* geometry_;
-  Resolution resolution_;
-  PixelGrid grid_;    ///< with a border that the high-pass needs
-  RunningBlur blur_;  ///< what the high-pass takes away
-  int border_;        ///< [bins]
-  cv::Size size_;     ///< without the border [bins]
-  cv::Point first_;   ///< likewise
+  PixelGrid grid_;            ///< with a border that the high-pass needs
+  RunningBlur blur_;          ///< what the high-pass takes away
+  int border_;                ///< [bins]
+  cv::Size size_;             ///< without the border [bins]
+  AttenuationBins laid_out_;  ///< of the grid and around it
+  cv::Point grid_in_it_;      ///< the grid's first bin
+  HighPass high_pass_;
   cv::Mat measured_image_;
   Eigen::VectorXf measured_;
-  cv::Mat counts_;           ///< of the grid, as valid_
-  cv::Mat counted_inverse_;  ///< the same by the share of what counts about a bin
   Eigen::VectorXf valid_;
   std::vector<int> sample_;
 };

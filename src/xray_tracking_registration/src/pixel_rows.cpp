@@ -3,9 +3,10 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <memory>
 #include <vector>
 
-#include "several_processors.h"
+#include "xray_tracking_core/several_processors.h"
 
 #define INLINE inline __attribute__((always_inline))
 // How vectors would be passed to functions that are not inlined: here all are.
@@ -42,9 +43,10 @@ INLINE void store(const Row& row, float* to)
   __builtin_memcpy(to, &row, sizeof(row));
 }
 
-/// One running mean over `count` groups of `Rows` rows. Before and after `from` lie reach + 1 groups of zeros.
-template <int Rows>
-INLINE void run(const float* __restrict from, int count, const Box& box, float* __restrict to)
+/// One running mean over `count` groups of `Rows` rows; take(group, k, mean) gets those of the k-th row. Before and
+/// after `from` lie reach + 1 groups of zeros.
+template <int Rows, typename Take>
+INLINE void run(const float* __restrict from, int count, const Box& box, const Take& take)
 {
   constexpr int kSize = Rows * kPixelRow;
   Row sum[Rows] = {};
@@ -57,36 +59,40 @@ INLINE void run(const float* __restrict from, int count, const Box& box, float* 
   }
   const float* leaves = from - (box.reach + 1) * kSize;
   const float* enters = from + box.reach * kSize;
-  for (int n = 0; n < count; ++n, leaves += kSize, enters += kSize, to += kSize)
+  for (int n = 0; n < count; ++n, leaves += kSize, enters += kSize)
   {
     for (int k = 0; k < Rows; ++k)
     {
       const int at = k * kPixelRow;
       sum[k] += load(enters + at);
-      store(box.weight * sum[k] + box.edge * (load(leaves + at) + load(enters + kSize + at)), to + at);
+      take(n, k, box.weight * sum[k] + box.edge * (load(leaves + at) + load(enters + kSize + at)));
       sum[k] -= load(leaves + kSize + at);
     }
   }
 }
 
-/// All passes over `count` groups. `fill` writes them to where it is told, `take` reads the result from where it is
-/// told. @param buffers of count + 2 * reach + 2 groups each
+/// All passes over `count` groups. `fill` writes them to where it is told, `take` gets the result as run()'s does.
+/// @param buffers of count + 2 * reach + 2 groups each
 template <int Rows, typename Fill, typename Take>
 INLINE void runAll(float* first, float* second, int count, const Box& box, const Fill& fill, const Take& take)
 {
-  const int begin = (box.reach + 1) * Rows * kPixelRow;
-  const int end = begin + count * Rows * kPixelRow;
+  constexpr int kSize = Rows * kPixelRow;
+  const int begin = (box.reach + 1) * kSize;
+  const int end = begin + count * kSize;
   for (float* buffer : { first, second })
   {
     std::fill_n(buffer, begin, 0.0f);
     std::fill_n(buffer + end, begin, 0.0f);
   }
-  fill(first + begin);
-  static_assert(kPasses == 3, "the result is in the second buffer");
-  run<Rows>(first + begin, count, box, second + begin);
-  run<Rows>(second + begin, count, box, first + begin);
-  run<Rows>(first + begin, count, box, second + begin);
-  take(second + begin);
+  first += begin;
+  second += begin;
+  const auto to = [](float* buffer)
+  { return [buffer](int n, int k, const Row& row) { store(row, buffer + n * kSize + k * kPixelRow); }; };
+  fill(first);
+  static_assert(kPasses == 3, "as many as there are here");
+  run<Rows>(first, count, box, to(second));
+  run<Rows>(second, count, box, to(first));
+  run<Rows>(first, count, box, take);
 }
 
 /// Down the columns of an image.
@@ -104,23 +110,32 @@ INLINE void blurDown(float* image, int width, int height, const Box& box, float*
             std::copy_n(image + row * width + column, columns, to + row * kStrip);
           }
         },
-        [&](const float* from)
+        [&](int row, int k, const Row& mean)
         {
-          for (int row = 0; row < height; ++row)
+          float* to = image + row * width + column + k * kPixelRow;
+          if ((k + 1) * kPixelRow <= columns)
           {
-            std::copy_n(from + row * kStrip, columns, image + row * width + column);
+            store(mean, to);
+          }
+          else
+          {
+            for (int n = 0; n < columns - k * kPixelRow; ++n)
+            {
+              to[n] = mean[n];
+            }
           }
         });
   }
 }
 
-/// Along the rows of an image of single numbers: as many rows at once as a pixel has numbers.
+/// Along the rows of an image: as many rows at once as a pixel has numbers.
 INLINE void blurAlong(float* image, int width, int height, const Box& box, float* first, float* second)
 {
   for (int row = 0; row < height; row += kPixelRow)
   {
     const int rows = std::min(kPixelRow, height - row);
     float* band = image + row * width;
+    float* means = second + (box.reach + 1) * kPixelRow;
     runAll<1>(
         first, second, width, box,
         [&](float* to)
@@ -133,16 +148,14 @@ INLINE void blurAlong(float* image, int width, int height, const Box& box, float
             }
           }
         },
-        [&](const float* from)
-        {
-          for (int n = 0; n < rows; ++n)
-          {
-            for (int column = 0; column < width; ++column)
-            {
-              band[n * width + column] = from[column * kPixelRow + n];
-            }
-          }
-        });
+        [&](int column, int, const Row& mean) { store(mean, means + column * kPixelRow); });
+    for (int n = 0; n < rows; ++n)
+    {
+      for (int column = 0; column < width; ++column)
+      {
+        band[n * width + column] = means[column * kPixelRow + n];
+      }
+    }
   }
 }
 
@@ -152,25 +165,102 @@ FOR_SEVERAL_PROCESSORS void blurOne(float* image, int width, int height, Box box
   blurDown(image, width, height, box, first, second);
 }
 
-FOR_SEVERAL_PROCESSORS void blurRows(float* image, int width, int height, Box box, float* first, float* second)
+/// A part of an image [pixels].
+struct Part
 {
-  const int length = width * kPixelRow;
+  int x;
+  int y;
+  int width;
+  int height;
+};
+
+/// @param along for what is between both directions: of the inner part's width and the image's height
+FOR_SEVERAL_PROCESSORS void subtractMeans(const float* rows, int width, int height, Box box, const float* factors,
+                                          Part inner, float* along, float* first, float* second, float* result)
+{
+  constexpr int kColumns = kStrip / kPixelRow;
   for (int row = 0; row < height; ++row)
   {
     runAll<1>(
-        first, second, width, box, [&](float* to) { std::copy_n(image + row * length, length, to); },
-        [&](const float* from) { std::copy_n(from, length, image + row * length); });
+        first, second, width, box,
+        [&](float* to) { std::copy_n(rows + row * width * kPixelRow, width * kPixelRow, to); },
+        [&](int column, int, const Row& mean)
+        {
+          if (column >= inner.x && column < inner.x + inner.width)
+          {
+            store(mean, along + (row * inner.width + column - inner.x) * kPixelRow);
+          }
+        });
   }
-  blurDown(image, length, height, box, first, second);
+  for (int strip = 0; strip < inner.width; strip += kColumns)
+  {
+    // The last one has columns of the one before.
+    const int column = std::min(strip, inner.width - kColumns);
+    runAll<kColumns>(
+        first, second, height, box,
+        [&](float* to)
+        {
+          for (int row = 0; row < height; ++row)
+          {
+            for (int k = 0; k < kColumns; ++k)
+            {
+              store(load(along + (row * inner.width + column + k) * kPixelRow), to + (row * kColumns + k) * kPixelRow);
+            }
+          }
+        },
+        [&](int row, int k, const Row& mean)
+        {
+          if (row >= inner.y && row < inner.y + inner.height)
+          {
+            const int at = row * width + inner.x + column + k;
+            store(load(rows + at * kPixelRow) - factors[at] * mean,
+                  result + ((row - inner.y) * inner.width + column + k) * kPixelRow);
+          }
+        });
+  }
 }
 
-FOR_SEVERAL_PROCESSORS void subtract(const float* rows, const float* means, const float* factors, int count, float* to)
+/// Six numbers and two of the next pixel's.
+using Twists = float __attribute__((vector_size(8 * sizeof(float))));
+
+INLINE void makeRow(const RowParts& parts, int n, const float* twists, const float* other_twists, float* row)
 {
-  for (int n = 0; n < count; ++n)
+  constexpr Row kZeros = {};
+  const float factor = parts.factors[n] * parts.counts[n];
+  store(kZeros, row);
+  Twists six;
+  __builtin_memcpy(&six, twists, sizeof(six));
+  six *= factor;
+  __builtin_memcpy(row, &six, sizeof(six));
+  int last = 6;
+  if (other_twists != nullptr)
   {
-    const int at = n * kPixelRow;
-    store(load(rows + at) - factors[n] * load(means + at), to + at);
+    __builtin_memcpy(&six, other_twists, sizeof(six));
+    six *= factor;
+    __builtin_memcpy(row + last, &six, sizeof(six));
+    last += 6;
   }
+  row[last] = parts.by_saturation[n] * parts.counts[n];
+  row[last + 1] = 0.0f;
+  row[kPixelRow - 1] = parts.image[n] * parts.counts[n];
+}
+
+FOR_SEVERAL_PROCESSORS void make(const RowParts& parts, int count, float* rows)
+{
+  const bool both = parts.other_twists != nullptr;
+  for (int n = 0; n + 1 < count; ++n)
+  {
+    makeRow(parts, n, parts.twists + 6 * n, both ? parts.other_twists + 6 * n : nullptr, rows + n * kPixelRow);
+  }
+  // Behind the last pixel there is nothing to be read.
+  float twists[8] = {};
+  float other_twists[8] = {};
+  std::copy_n(parts.twists + 6 * (count - 1), 6, twists);
+  if (both)
+  {
+    std::copy_n(parts.other_twists + 6 * (count - 1), 6, other_twists);
+  }
+  makeRow(parts, count - 1, twists, both ? other_twists : nullptr, rows + (count - 1) * kPixelRow);
 }
 
 /// Sums of the rows, and of the rows times the image.
@@ -247,24 +337,24 @@ void RunningBlur::operator()(cv::Mat& image) const
                       buffers.data() + size);
 }
 
-void RunningBlur::operator()(PixelRows& rows, const cv::Size& image) const
+PixelRows RunningBlur::withoutMeans(const PixelRows& rows, const cv::Size& size, const cv::Mat& factors,
+                                    const cv::Rect& inner) const
 {
-  const std::size_t size = bufferSize(image.width, image.height);
-  std::vector<float> buffers(2 * size);
-  pixel_rows::blurRows(rows.data(), image.width, image.height, { reach_, edge_, weight_ }, buffers.data(),
-                       buffers.data() + size);
+  const std::size_t buffer = bufferSize(size.width, size.height);
+  const std::size_t along = static_cast<std::size_t>(inner.width * size.height) * kPixelRow;
+  const std::unique_ptr<float[]> buffers(new float[2 * buffer + along]);  // of no value until written to
+  PixelRows result(inner.area(), kPixelRow);
+  pixel_rows::subtractMeans(rows.data(), size.width, size.height, { reach_, edge_, weight_ }, factors.ptr<float>(),
+                            { inner.x, inner.y, inner.width, inner.height }, buffers.get() + 2 * buffer, buffers.get(),
+                            buffers.get() + buffer, result.data());
+  return result;
 }
 
-PixelRows withoutMeans(const PixelRows& rows, const PixelRows& means, const cv::Mat& factors, const cv::Rect& inner)
+PixelRows makeRows(const RowParts& parts, int count)
 {
-  PixelRows result(inner.area(), kPixelRow);
-  for (int row = 0; row < inner.height; ++row)
-  {
-    const Eigen::Index first = static_cast<Eigen::Index>(inner.y + row) * factors.cols + inner.x;
-    pixel_rows::subtract(rows.row(first).data(), means.row(first).data(), factors.ptr<float>(inner.y + row) + inner.x,
-                         inner.width, result.row(row * inner.width).data());
-  }
-  return result;
+  PixelRows rows(count, kPixelRow);
+  pixel_rows::make(parts, count, rows.data());
+  return rows;
 }
 
 void projectOut(const Eigen::VectorXf& image, const Eigen::VectorXf& valid, float scale, PixelRows& rows)

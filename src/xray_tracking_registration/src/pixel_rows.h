@@ -21,8 +21,13 @@ public:
 
   /// @param image CV_32FC1, continuous
   void operator()(cv::Mat& image) const;
-  /// @param size of the image
-  void operator()(PixelRows& rows, const cv::Size& size) const;
+  /// Takes the local means away from what counts.
+  /// @param rows of an image, times what counts @param size of the image
+  /// @param factors of the means, of the image, CV_32FC1, continuous: 0 for what does not count
+  /// @param inner part of the image, 4 pixels wide at least
+  /// @return of the inner part
+  PixelRows withoutMeans(const PixelRows& rows, const cv::Size& size, const cv::Mat& factors,
+                         const cv::Rect& inner) const;
 
 private:
   std::size_t bufferSize(int width, int height) const;
@@ -32,12 +37,17 @@ private:
   float weight_;  ///< of the others
 };
 
-/// Takes the local means away from what counts.
-/// @param rows of the bordered image, times what counts; @param means the same, blurred
-/// @param factors of the means, of the bordered image, CV_32FC1: 0 for what does not count
-/// @param inner of the bordered image
-/// @return of the inner image
-PixelRows withoutMeans(const PixelRows& rows, const PixelRows& means, const cv::Mat& factors, const cv::Rect& inner);
+/// What a pixel's numbers are made of, of one image each, row by row.
+struct RowParts
+{
+  const float* twists;         ///< six numbers a pixel
+  const float* other_twists;   ///< further six, or null
+  const float* by_saturation;  ///< what comes behind them
+  const float* image;          ///< the last number
+  const float* factors;        ///< of the twists
+  const float* counts;         ///< factors of all
+};
+PixelRows makeRows(const RowParts& parts, int count);
 
 /// Makes every number of a pixel its derivative of a normalised image from that of the image: what lies along the
 /// image and along a constant is taken away. @param image mean 0, norm 1 over what counts

@@ -2,7 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <vector>
 
+#include <tbb/parallel_for.h>
 #include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
 #include <Eigen/Geometry>
@@ -67,18 +69,25 @@ PoseSpread poseSpread(const std::vector<ViewLevel>& views, const Linearisation& 
 {
   const NormalEquations whole = normalEquations(views, at, prior, poses, bodies.centre);
   const Eigen::LDLT<Eigen::MatrixXd> solver(whole.information);
+  std::vector<Eigen::Matrix<double, 6, 6>> sums(views.size(), Eigen::Matrix<double, 6, 6>::Zero());
+  tbb::parallel_for(
+      std::size_t{ 0 }, views.size(),
+      [&](std::size_t v)
+      {
+        const cv::Size& size = views[v].size();
+        for (int tile = 0; tile < kTiles * kTiles; ++tile)
+        {
+          const cv::Point first(tile % kTiles * size.width / kTiles, tile / kTiles * size.height / kTiles);
+          const cv::Point end((tile % kTiles + 1) * size.width / kTiles, (tile / kTiles + 1) * size.height / kTiles);
+          const Eigen::VectorXd step =
+              solver.solve(tileGradient(views[v], at, v, whole.gradient.size(), cv::Rect(first, end)));
+          sums[v] += step.head<6>() * step.head<6>().transpose();
+        }
+      });
   Eigen::Matrix<double, 6, 6> sum = Eigen::Matrix<double, 6, 6>::Zero();
-  for (std::size_t v = 0; v < views.size(); ++v)
+  for (const Eigen::Matrix<double, 6, 6>& of_view : sums)
   {
-    const cv::Size& size = views[v].size();
-    for (int tile = 0; tile < kTiles * kTiles; ++tile)
-    {
-      const cv::Point first(tile % kTiles * size.width / kTiles, tile / kTiles * size.height / kTiles);
-      const cv::Point end((tile % kTiles + 1) * size.width / kTiles, (tile / kTiles + 1) * size.height / kTiles);
-      const Eigen::VectorXd step =
-          solver.solve(tileGradient(views[v], at, v, whole.gradient.size(), cv::Rect(first, end)));
-      sum += step.head<6>() * step.head<6>().transpose();
-    }
+    sum += of_view;
   }
   sum *= kCalibration;
   const Eigen::Index unknowns = whole.information.rows();
@@ -107,11 +116,11 @@ std::vector<ViewResidual> viewResiduals(const std::vector<ViewLevel>& views, con
                                         const Eigen::Vector3d& room_centre)
 {
   std::vector<ViewResidual> residuals(views.size());
+  const std::vector<WeighedSums> of_views = weighedSumsOf(views, at);
   for (std::size_t v = 0; v < views.size(); ++v)
   {
     const ViewModel& model = at.models[v];
-    const Eigen::VectorXf difference = views[v].measured() - model.image;
-    const WeighedSums sums = weighedSums(model.derivatives, at.weights[v], difference);
+    const WeighedSums& sums = of_views[v];
     Eigen::MatrixXd information = sums.squares.topLeftCorner(model.twists, model.twists);
     // One view sees little of depth and of two rotations; these stay about where all views put them.
     information.diagonal() *= 1.05;
@@ -119,7 +128,7 @@ std::vector<ViewResidual> viewResiduals(const std::vector<ViewLevel>& views, con
     const Eigen::Vector3d ray = (room_centre - views[v].geometry().source()).normalized();
     const Eigen::Vector3d translation = step.segment<3>(3);
     residuals[v].similarity = model.similarity;
-    residuals[v].noise = difference.norm();
+    residuals[v].noise = (views[v].measured() - model.image).norm();
     residuals[v].pull_mm = (translation - ray * ray.dot(translation)).norm();
   }
   return residuals;

@@ -55,9 +55,9 @@ std::string DetectorPixels::examine(const cv::Mat& image, const IntensityModel& 
   const cv::Rect whole(cv::Point(), image.size());
   if (field_.outside(whole) > 0.0)
   {
-    cv::Mat outside = cv::Mat::zeros(image.size(), CV_8UC1);
-    field_.mark(whole, 1, outside);
-    seen.usable = outside == 0;
+    seen.usable = cv::Mat::zeros(image.size(), CV_8UC1);
+    field_.mark(whole, 255, seen.usable);
+    cv::bitwise_not(seen.usable, seen.usable);
   }
   if (!repair_.empty())
   {

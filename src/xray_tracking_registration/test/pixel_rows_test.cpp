@@ -84,10 +84,11 @@ TEST(RunningBlur, VarianceIsMet)
 TEST(RunningBlur, BeyondTheImageIsNothingAndEveryNumberIsForItself)
 {
   std::mt19937 random(4);
-  PixelRows rows = randomRows(kWidth * kHeight, random);
-  const PixelRows before = rows;
+  const PixelRows before = randomRows(kWidth * kHeight, random);
   const RunningBlur blur(3.7);
-  blur(rows, cv::Size(kWidth, kHeight));
+  const cv::Rect whole(0, 0, kWidth, kHeight);
+  const cv::Mat ones(whole.size(), CV_32FC1, cv::Scalar(1.0));
+  const PixelRows rows = before - blur.withoutMeans(before, whole.size(), ones, whole);
   for (int number = 0; number < kPixelRow; ++number)
   {
     // The same image with zeros around it.
@@ -115,18 +116,59 @@ TEST(PixelRows, WithoutMeans)
 {
   std::mt19937 random(5);
   const PixelRows rows = randomRows(12 * 9, random);
-  const PixelRows means = randomRows(12 * 9, random);
   cv::Mat factors(9, 12, CV_32FC1);
   cv::randu(factors, 0.0, 2.0);
-  const cv::Rect inner(2, 3, 7, 5);
-  const PixelRows left = withoutMeans(rows, means, factors, inner);
-  ASSERT_EQ(left.rows(), inner.area());
-  for (int n = 0; n < inner.area(); ++n)
+  const RunningBlur blur(1.3);
+  for (const cv::Rect& inner : { cv::Rect(2, 3, 7, 5), cv::Rect(3, 1, 4, 6), cv::Rect(0, 0, 12, 9) })
   {
-    const int row = inner.y + n / inner.width;
-    const int column = inner.x + n % inner.width;
-    const int at = row * 12 + column;
-    EXPECT_LT((left.row(n) - (rows.row(at) - factors.at<float>(row, column) * means.row(at))).norm(), 1e-5f);
+    const PixelRows left = blur.withoutMeans(rows, cv::Size(12, 9), factors, inner);
+    ASSERT_EQ(left.rows(), inner.area());
+    for (int number = 0; number < kPixelRow; ++number)
+    {
+      cv::Mat means(9, 12, CV_32FC1);
+      Eigen::Map<Eigen::VectorXf>(means.ptr<float>(), 12 * 9) = rows.col(number);
+      blur(means);
+      for (int n = 0; n < inner.area(); ++n)
+      {
+        const int row = inner.y + n / inner.width;
+        const int column = inner.x + n % inner.width;
+        const float expected =
+            rows(row * 12 + column, number) - factors.at<float>(row, column) * means.at<float>(row, column);
+        EXPECT_NEAR(left(n, number), expected, 1e-5f)
+            << inner << ", number " << number << " at " << column << ", " << row;
+      }
+    }
+  }
+}
+
+TEST(PixelRows, MadeOfTheirParts)
+{
+  std::mt19937 random(8);
+  constexpr int kCount = 37;
+  const Eigen::VectorXf twists = randomColumn(6 * kCount, random);
+  const Eigen::VectorXf others = randomColumn(6 * kCount, random);
+  const Eigen::VectorXf by_saturation = randomColumn(kCount, random);
+  const Eigen::VectorXf image = randomColumn(kCount, random);
+  const Eigen::VectorXf factors = randomColumn(kCount, random);
+  const Eigen::VectorXf counts = randomColumn(kCount, random);
+  for (const bool both : { false, true })
+  {
+    const PixelRows rows = makeRows({ twists.data(), both ? others.data() : nullptr, by_saturation.data(), image.data(),
+                                      factors.data(), counts.data() },
+                                    kCount);
+    ASSERT_EQ(rows.rows(), kCount);
+    for (int n = 0; n < kCount; ++n)
+    {
+      Eigen::Matrix<float, 1, kPixelRow> expected = Eigen::Matrix<float, 1, kPixelRow>::Zero();
+      expected.head<6>() = factors[n] * twists.segment<6>(6 * n);
+      if (both)
+      {
+        expected.segment<6>(6) = factors[n] * others.segment<6>(6 * n);
+      }
+      expected[both ? 12 : 6] = by_saturation[n];
+      expected[kPixelRow - 1] = image[n];
+      EXPECT_LT((rows.row(n) - counts[n] * expected).norm(), 1e-6f) << n;
+    }
   }
 }
 

@@ -7,6 +7,11 @@
 
 #include <Eigen/Core>
 
+#include "xray_tracking_core/several_processors.h"
+
+// How vectors would be passed to functions that are not inlined: none is, but by its place.
+#pragma GCC diagnostic ignored "-Wpsabi"
+
 namespace xray_tracking
 {
 namespace
@@ -24,17 +29,88 @@ constexpr double kLeastApart = 1.5;
 constexpr double kSure = 4.0;         // standard deviations
 constexpr double kOfMedian = 1.4826;  // a standard deviation, of absolute values
 
-using Row = Eigen::Map<const Eigen::ArrayXf>;
+/// As many columns as are looked at together: sums of a row in single precision, in registers.
+constexpr int kLanes = 16;
+using Lanes = float __attribute__((vector_size(kLanes * sizeof(float))));
 
-/// A part of a row of an image of floats.
-Row rowOf(const cv::Mat& values, int y, int first, int count)
+inline __attribute__((always_inline)) Lanes load(const float* from)
 {
-  return Row(values.ptr<float>(y) + first, count);
+  Lanes lanes;
+  __builtin_memcpy(&lanes, from, sizeof(lanes));
+  return lanes;
 }
 
-Eigen::Map<Eigen::ArrayXf> rowOf(cv::Mat& values, int y)
+double sumOf(const Lanes& lanes)
 {
-  return Eigen::Map<Eigen::ArrayXf>(values.ptr<float>(y), values.cols);
+  double sum = 0.0;
+  for (int lane = 0; lane < kLanes; ++lane)
+  {
+    sum += static_cast<double>(lanes[lane]);
+  }
+  return sum;
+}
+
+/// Sums over a part of a row: of values, of what they may be like, of products and of squares of that.
+struct LikeSums
+{
+  Lanes values = {}, like = {}, products = {}, squares = {};
+};
+
+/// What alternates, of one sign in every other row. Of the row's last columns less than kLanes are in no sum.
+FOR_SEVERAL_PROCESSORS void alternate(const float* above, const float* row, const float* below, float sign, int count,
+                                      float* to, LikeSums* sums)
+{
+  for (int x = 0; x < count; ++x)
+  {
+    to[x] = sign * (row[x] - 0.5f * (above[x] + below[x]));
+  }
+  LikeSums of_row;
+  for (int x = 0; x + kLanes <= count; x += kLanes)
+  {
+    const Lanes value = load(to + x);
+    const Lanes like = load(row + x);
+    of_row.values += value;
+    of_row.like += like;
+    of_row.products += value * like;
+    of_row.squares += like * like;
+  }
+  *sums = of_row;
+}
+
+FOR_SEVERAL_PROCESSORS void takeOut(const float* like, float gain, float offset, int count, float* values)
+{
+  for (int x = 0; x < count; ++x)
+  {
+    values[x] -= gain * like[x] + offset;
+  }
+}
+
+FOR_SEVERAL_PROCESSORS void addProducts(const float* row, std::ptrdiff_t stride, int count, float* products)
+{
+  const float* third = row + kFirstLag * stride;
+  const float* fourth = third + stride;
+  const float* fifth = fourth + stride;
+  const float* sixth = fifth + stride;
+  static_assert(kLastLag == kFirstLag + 3, "the signs are those of four rows");
+  for (int x = 0; x < count; ++x)
+  {
+    products[x] += row[x] * (0.125f * (third[x] + sixth[x]) + 0.375f * (fourth[x] + fifth[x]));
+  }
+}
+
+FOR_SEVERAL_PROCESSORS void sumSlopes(const float* row, std::ptrdiff_t stride, int count, Lanes* across, Lanes* along)
+{
+  const float* third = row + 3 * stride;
+  const float* above = row - 2 * stride;
+  const float* below = row + 2 * stride;
+  Lanes across_sum = {}, along_sum = {};
+  for (int x = 0; x + kLanes <= count; x += kLanes)
+  {
+    across_sum += (load(row + x + 2) - load(row + x)) * (load(third + x + 2) - load(third + x));
+    along_sum += (load(below + x + 1) - load(above + x + 1)) * (load(below + x + 4) - load(above + x + 4));
+  }
+  *across = across_sum;
+  *along = along_sum;
 }
 
 /// Mean squares of an image's slopes [1/px^2], the larger one of both directions, without white noise: by products of
@@ -42,34 +118,33 @@ Eigen::Map<Eigen::ArrayXf> rowOf(cv::Mat& values, int y)
 double slopes(const cv::Mat& values)
 {
   double across = 0.0, along = 0.0;
-  const int count = values.cols - 5;
+  const int count = (values.cols - 5) / kLanes * kLanes;
   for (int y = 2; y + 5 < values.rows; ++y)
   {
-    const auto at = [&values, y, count](int row, int column) { return rowOf(values, y + row, column, count); };
-    across += static_cast<double>(((at(0, 2) - at(0, 0)) * (at(3, 2) - at(3, 0))).sum());
-    along += static_cast<double>(((at(2, 1) - at(-2, 1)) * (at(2, 4) - at(-2, 4))).sum());
+    Lanes across_sum, along_sum;
+    sumSlopes(values.ptr<float>(y), static_cast<std::ptrdiff_t>(values.step1()), count, &across_sum, &along_sum);
+    across += sumOf(across_sum);
+    along += sumOf(along_sum);
   }
   return std::max({ across / 4.0, along / 16.0, 1e-9 }) / (static_cast<double>(values.rows - 7) * count);
 }
 
-/// Takes out of values what is like others and a constant. Sums of a row in single precision, for vectors.
+/// The gain and the constant by which values are like others.
 class GainAndOffset
 {
 public:
-  template <typename Values, typename Like>
-  void add(const Values& values, const Like& like)
+  void add(const LikeSums& of_row, int count)
   {
-    sum_ += static_cast<double>(values.sum()), like_ += static_cast<double>(like.sum());
-    product_ += static_cast<double>((values * like).sum()), square_ += static_cast<double>(like.square().sum());
-    count_ += static_cast<double>(values.size());
+    sum_ += sumOf(of_row.values), like_ += sumOf(of_row.like);
+    product_ += sumOf(of_row.products), square_ += sumOf(of_row.squares);
+    count_ += count / kLanes * kLanes;
   }
-  template <typename Values, typename Like>
-  void removeFrom(Values& values, const Like& like) const
+  double gain() const
   {
     const double variance = square_ - like_ * like_ / count_;
-    const double gain = variance > 0.0 ? (product_ - sum_ * like_ / count_) / variance : 0.0;
-    values -= static_cast<float>(gain) * like + static_cast<float>((sum_ - gain * like_) / count_);
+    return variance > 0.0 ? (product_ - sum_ * like_ / count_) / variance : 0.0;
   }
+  double offset() const { return (sum_ - gain() * like_) / count_; }
 
 private:
   double sum_ = 0.0, like_ = 0.0, product_ = 0.0, square_ = 0.0, count_ = 0.0;
@@ -84,15 +159,16 @@ double MixedRows::woven(const cv::Mat& image, const cv::Rect& part)
   GainAndOffset every_other;
   for (int y = 0; y < rows; ++y)
   {
-    const auto at = [this, y, columns](int row) { return rowOf(values_, y + row, 0, columns); };
-    auto alternating = rowOf(alternating_, y);
-    alternating = (y % 2 == 0 ? 1.f : -1.f) * (at(1) - 0.5f * (at(0) + at(2)));
-    every_other.add(alternating, at(1));
+    LikeSums sums;
+    alternate(values_.ptr<float>(y), values_.ptr<float>(y + 1), values_.ptr<float>(y + 2), y % 2 == 0 ? 1.f : -1.f,
+              columns, alternating_.ptr<float>(y), &sums);
+    every_other.add(sums, columns);
   }
+  const auto gain = static_cast<float>(every_other.gain());
+  const auto offset = static_cast<float>(every_other.offset());
   for (int y = 0; y < rows; ++y)
   {
-    auto alternating = rowOf(alternating_, y);
-    every_other.removeFrom(alternating, rowOf(values_, y + 1, 0, columns));
+    takeOut(values_.ptr<float>(y + 1), gain, offset, columns, alternating_.ptr<float>(y));
   }
   sums_.clear();
   products_.resize(columns);
@@ -101,8 +177,7 @@ double MixedRows::woven(const cv::Mat& image, const cv::Rect& part)
     products_.setZero();
     for (int y = first; y < first + kBlock; ++y)
     {
-      const auto at = [this, y, columns](int lag) { return rowOf(alternating_, y + lag, 0, columns); };
-      products_ += at(0) * (0.125f * (at(kFirstLag) + at(kLastLag)) + 0.375f * (at(kFirstLag + 1) + at(kFirstLag + 2)));
+      addProducts(alternating_.ptr<float>(y), columns, columns, products_.data());
     }
     for (int x = 0; x + kBlock <= columns; x += kBlock)
     {

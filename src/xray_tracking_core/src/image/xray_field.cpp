@@ -265,22 +265,24 @@ void XrayField::mark(const cv::Rect& part, std::uint8_t bits, cv::Mat& pixels) c
     return;
   }
   const int edge = i.bins.edge();
-  cv::AutoBuffer<std::uint8_t, 4096> marks(part.width);  // of all rows of one row of bins
+  const int width = part.width;  // not read again after every byte that is written
+  cv::AutoBuffer<std::uint8_t, 4096> buffer(width);
+  std::uint8_t* const marks = buffer.data();  // of all rows of one row of bins
   for (int y = 0; y < part.height; ++y)
   {
     if (y == 0 || (part.y + y) % edge == 0)
     {
       const std::uint8_t* outside = i.border.outside().ptr((part.y + y) / edge);
-      for (int x = 0; x < part.width;)
+      for (int x = 0; x < width;)
       {
         const int bin = (part.x + x) / edge;
-        const int end = std::min(part.width, (bin + 1) * edge - part.x);
-        std::fill(marks.data() + x, marks.data() + end, outside[bin] != 0 ? bits : 0);
+        const int end = std::min(width, (bin + 1) * edge - part.x);
+        std::fill(marks + x, marks + end, outside[bin] != 0 ? bits : 0);
         x = end;
       }
     }
     std::uint8_t* row = pixels.ptr(y);
-    for (int x = 0; x < part.width; ++x)
+    for (int x = 0; x < width; ++x)
     {
       row[x] |= marks[x];
     }
