@@ -474,6 +474,43 @@ TEST(TreatmentSetup, ComesBackAsWritten)
                                   { "none/setup.yaml", "written" });
 }
 
+/// What a file names is found from wherever the new one stands.
+TEST(TreatmentSetup, StaysAsItIsButForThePose)
+{
+  SequenceFolder folder;
+  const RigidTransform pose = motionAbout({ 1.0 / 3.0, 2.0, 3.0 }, Twist::Constant(0.1));
+  const std::string original = folder.folder().path("sequence.yaml");
+  std::filesystem::create_directory(folder.folder().path("other"));
+  const std::string table = folder.yaml;
+  for (const std::string& yaml :
+       { table, replaced(table, "frames: frames.csv",
+                         "frames: {rate: 1.02354147, files: {detector_a: a*.png, detector_b: b*.png}}") })
+  {
+    folder.yaml = yaml == table ? table : replaced(yaml, "gold_standard: gold.csv\n", "");
+    folder.write();
+    const Sequence before = folder.load();
+    for (const char* name : { "other/sequence.yaml", "sequence.yaml" })
+    {
+      saveWithInitialPose(original, pose, folder.folder().path(name));
+      const Sequence after = loadSequence(std::filesystem::path(folder.folder().path(name)).parent_path().string());
+      EXPECT_LT((after.setup.room_from_patient.matrix() - pose.matrix()).norm(), 1e-12);
+      EXPECT_EQ(after.setup.ct_path, before.setup.ct_path);
+      EXPECT_EQ(after.setup.regions, before.setup.regions);
+      EXPECT_EQ(after.gold_standard.size(), before.gold_standard.size());
+      ASSERT_EQ(after.exposures.size(), before.exposures.size());
+      for (std::size_t k = 0; k < before.exposures.size(); ++k)
+      {
+        EXPECT_EQ(after.exposures[k].stamp_ns, before.exposures[k].stamp_ns);
+        EXPECT_EQ(after.exposures[k].files, before.exposures[k].files);
+      }
+    }
+  }
+  expectError<std::runtime_error>([&] { saveWithInitialPose(original, pose, folder.folder().path("none/x.yaml")); },
+                                  { "none/x.yaml", "written" });
+  expectError<std::runtime_error>([&] { saveWithInitialPose(folder.folder().path("no.yaml"), pose, original); },
+                                  { "no.yaml", "missing" });
+}
+
 TEST(TreatmentSetup, PhantomPreset)
 {
   const TreatmentSetup setup =

@@ -70,8 +70,7 @@ int alignSequence(const po::variables_map& arguments)
         "the first exposure's pose was not found: " + result.reason +
         (result.views.empty() ? "" : "; the best is " + what.str() + "; " + rivalsInWords(result)));
   }
-  setup.room_from_patient = result.room_from_patient;
-  saveTreatmentSetup(setup, arguments["OUT.yaml"].as<std::string>());
+  saveWithInitialPose(folder + "/sequence.yaml", result.room_from_patient, arguments["OUT.yaml"].as<std::string>());
   std::cout << "aligned: " << what.str() << "; " << rivalsInWords(result) << std::endl;
   return 0;
 }
@@ -84,7 +83,7 @@ int main(int argc, char** argv)
   command_line.usage = "SEQUENCE_DIR OUT.yaml [--max_mm 45] [--max_degrees 17.8]";
   command_line.description =
       "Finds the patient's pose in a sequence's first exposure where the initial pose is only roughly known, by a "
-      "search\nof all that the bounds allow, and writes the setup with it. Fails if it is not to be believed.";
+      "search\nof all that the bounds allow, and writes the sequence.yaml with it. Fails if it is not to be believed.";
   command_line.arguments = { "SEQUENCE_DIR", "OUT.yaml" };
   command_line.options.add_options()(
       "max_mm", po::value<double>()->default_value(xray_tracking::kUsualSearch),

@@ -7,7 +7,7 @@
 #include <sstream>
 #include <stdexcept>
 
-#include "detector_node.h"
+#include "setup_node.h"
 #include "xray_tracking_core/plan/structure.h"
 #include "yaml_field.h"
 
@@ -162,6 +162,15 @@ YAML::Node nodeOf(const Eigen::AlignedBox3d& box)
   YAML::Node node;
   node["min"] = listOf(box.min());
   node["max"] = listOf(box.max());
+  return node;
+}
+
+YAML::Node nodeOf(const RigidTransform& pose)
+{
+  YAML::Node node;
+  const Eigen::Quaterniond rotation(pose.linear());
+  node["translation_mm"] = listOf(Eigen::Vector3d(pose.translation()));
+  node["rotation_xyzw"] = listOf(rotation.coeffs());
   return node;
 }
 
@@ -331,6 +340,57 @@ std::string selfContainedSetup(const std::string& path)
   return text.str();
 }
 
+YAML::Node setupNodeFor(const std::string& new_path, const std::string& path)
+{
+  YamlField::fromFile(path);  // says what is wrong with it
+  YAML::Node root = YAML::LoadFile(path);
+  if (std::filesystem::absolute(new_path).parent_path() == std::filesystem::absolute(path).parent_path())
+  {
+    return root;
+  }
+  const auto relocate = [&path](YAML::Node node)
+  {
+    if (node && node.IsScalar())
+    {
+      node = resolvePath(node.Scalar(), path);
+    }
+  };
+  for (const char* const key : { "ct", "detectors", "frames", "gold_standard" })
+  {
+    relocate(root[key]);
+  }
+  if (const YAML::Node target = root["target"]; target && target.IsMap())
+  {
+    relocate(target["rtstruct"]);
+  }
+  if (const YAML::Node frames = root["frames"]; frames && frames.IsMap() && frames["files"].IsMap())
+  {
+    for (const auto& pattern : frames["files"])
+    {
+      relocate(pattern.second);
+    }
+  }
+  return root;
+}
+
+void writeSetupNode(const YAML::Node& root, const std::string& path)
+{
+  std::ofstream file(path);
+  file << root << "\n";
+  file.close();
+  if (!file)
+  {
+    throw std::runtime_error(path + ": cannot be written");
+  }
+}
+
+void saveWithInitialPose(const std::string& path, const RigidTransform& room_from_patient, const std::string& new_path)
+{
+  YAML::Node root = setupNodeFor(new_path, path);
+  root["initial_pose"] = nodeOf(room_from_patient);
+  writeSetupNode(root, new_path);
+}
+
 void saveTreatmentSetup(const TreatmentSetup& setup, const std::string& path)
 {
   YAML::Node root;
@@ -357,9 +417,7 @@ void saveTreatmentSetup(const TreatmentSetup& setup, const std::string& path)
   {
     root["detectors"].push_back(detectorNode(detector));
   }
-  const Eigen::Quaterniond rotation(setup.room_from_patient.linear());
-  root["initial_pose"]["translation_mm"] = listOf(Eigen::Vector3d(setup.room_from_patient.translation()));
-  root["initial_pose"]["rotation_xyzw"] = listOf(rotation.coeffs());
+  root["initial_pose"] = nodeOf(setup.room_from_patient);
   root["target_box_mm"] = nodeOf(setup.target_box);
   if (setup.target_structure)
   {
@@ -370,14 +428,7 @@ void saveTreatmentSetup(const TreatmentSetup& setup, const std::string& path)
   {
     root["regions"][name] = nodeOf(region);
   }
-
-  std::ofstream file(path);
-  file << root << "\n";
-  file.close();
-  if (!file)
-  {
-    throw std::runtime_error(path + ": cannot be written");
-  }
+  writeSetupNode(root, path);
 }
 
 cv::Rect projectedTargetRegion(const TreatmentSetup& setup, const ProjectionGeometry& geometry)

@@ -72,6 +72,10 @@ std::string selfContainedSetup(const std::string& path);
 /// Writes a setup that loadTreatmentSetup reads back. @throws std::runtime_error
 void saveTreatmentSetup(const TreatmentSetup& setup, const std::string& path);
 
+/// Writes a setup or sequence.yaml anew with another initial pose. All other keys stay, and the files that they name.
+/// @throws std::runtime_error naming the file that cannot be read or written
+void saveWithInitialPose(const std::string& path, const RigidTransform& room_from_patient, const std::string& new_path);
+
 /// The box around the target's eight projected corners, clipped to the image; empty if none of it is seen.
 cv::Rect projectedTargetRegion(const TreatmentSetup& setup, const ProjectionGeometry& geometry);
 }  // namespace xray_tracking
