@@ -1,4 +1,5 @@
 #include <cmath>
+#include <filesystem>
 #include <iostream>
 #include <sstream>
 
@@ -32,8 +33,9 @@ std::string rivalsInWords(const RegistrationResult& result)
 
 int alignSequence(const po::variables_map& arguments)
 {
-  Sequence sequence = loadSequence(arguments["SEQUENCE_DIR"].as<std::string>());
-  TreatmentSetup& setup = sequence.setup;
+  const auto folder = arguments["SEQUENCE_DIR"].as<std::string>();
+  const Sequence sequence = loadSequence(folder);
+  const TreatmentSetup& setup = sequence.setup;
   if (setup.ct_path.empty())
   {
     throw std::invalid_argument("sequence.yaml: ct is absent, expected the path of a CT to align");
@@ -70,7 +72,9 @@ int alignSequence(const po::variables_map& arguments)
         "the first exposure's pose was not found: " + result.reason +
         (result.views.empty() ? "" : "; the best is " + what.str() + "; " + rivalsInWords(result)));
   }
-  saveWithInitialPose(folder + "/sequence.yaml", result.room_from_patient, arguments["OUT.yaml"].as<std::string>());
+  const auto out = arguments["OUT.yaml"].as<std::string>();
+  std::filesystem::create_directories(std::filesystem::absolute(out).parent_path());
+  saveWithInitialPose(folder + "/sequence.yaml", result.room_from_patient, out);
   std::cout << "aligned: " << what.str() << "; " << rivalsInWords(result) << std::endl;
   return 0;
 }
