@@ -31,11 +31,20 @@ std::vector<ResidualPoint> residualPoints(const cv::Mat& reference, const cv::Re
     const double u = x - middle.x, v = y - middle.y;
     return cv::Point2d(centre.x + l(0, 0) * u + l(0, 1) * v, centre.y + l(1, 0) * u + l(1, 1) * v);
   };
-  const cv::Point2d origin = image_from_patch(0.0, 0.0);
+  // Attenuation only where it is looked at: the patch, and what is interpolated with.
+  const std::vector<cv::Point2f> corners{ image_from_patch(-1.0, -1.0), image_from_patch(region.width, -1.0),
+                                          image_from_patch(-1.0, region.height),
+                                          image_from_patch(region.width, region.height) };
+  const cv::Rect part = cv::boundingRect(corners) & cv::Rect(cv::Point(), image.size());
+  if (part.empty())
+  {
+    return {};
+  }
+  const cv::Point2d origin = image_from_patch(0.0, 0.0) - cv::Point2d(part.tl());
   const cv::Matx23d map(l(0, 0), l(0, 1), origin.x, l(1, 0), l(1, 1), origin.y);
   cv::Mat found;
-  cv::warpAffine(attenuationImage(image, intensity), found, map, region.size(), cv::INTER_LINEAR | cv::WARP_INVERSE_MAP,
-                 cv::BORDER_REPLICATE);
+  cv::warpAffine(attenuationImage(image(part), intensity), found, map, region.size(),
+                 cv::INTER_LINEAR | cv::WARP_INVERSE_MAP, cv::BORDER_REPLICATE);
 
   const double cell = std::max(1.0, std::sqrt(region.area() / kPoints));
   const cv::Size grid(cvFloor(region.width / cell), cvFloor(region.height / cell));

@@ -10,7 +10,7 @@ import rostest
 from sensor_msgs.msg import Image, RegionOfInterest
 from tracker_test_case import (HEIGHT, PATIENCE, REGION, TOLERANCE, WIDTH, TrackerTestCase, black, equals, exposure,
                                turned)
-from xray_tracking_msgs.msg import TrackedRegion
+from xray_tracking_msgs.msg import RegionResiduals, TrackedRegion
 from xray_tracking_msgs.srv import TrainRegion, TrainRegionResponse
 
 
@@ -168,6 +168,35 @@ class HyperplaneTrackerTest(TrackerTestCase):
         pixels = numpy.frombuffer(picture.data, numpy.uint8).reshape(HEIGHT, WIDTH, 3)
         self.assertTrue((pixels[100, 70] == (80, 200, 80)).all(), "no green outline at %s" % pixels[100, 70])
         self.assertEqual(len(set(pixels[20, 20])), 1, "grey outside the outline")
+
+    def test_says_where_the_region_differs_to_who_asks(self):
+        """Where something lies over an eighth of the region, and little elsewhere."""
+        detector = self.connect("parameter_region")
+        messages = queue.Queue()
+        viewer = rospy.Subscriber("parameter_region/region_residuals", RegionResiduals, messages.put, queue_size=10)
+        self.addCleanup(viewer.unregister)
+        deadline = rospy.get_time() + PATIENCE
+        while viewer.get_num_connections() == 0 and rospy.get_time() < deadline:
+            rospy.sleep(0.01)
+        self.restart(detector)
+        rows, columns = slice(60, 105), slice(75, 100)
+        stamps, found = [], []
+        while not found and rospy.get_time() < deadline:
+            stamp = self.stamp()
+            stamps.append(rospy.Time.from_sec(stamp))
+            detector.send(stamp, exposure(cover=(rows, columns)))
+            detector.answer()
+            while not messages.empty():
+                found += [message for message in [messages.get()] if message.header.stamp in stamps]
+        self.assertTrue(found, "no residuals of the exposures")
+        message = found[0]
+        u, v, residual = (numpy.array(values) for values in (message.u, message.v, message.residual))
+        self.assertEqual(len(u), len(v))
+        self.assertEqual(len(u), len(residual))
+        self.assertTrue(200 < len(u) <= 450, len(u))
+        inside = (v > rows.start + 5) & (v < rows.stop - 5) & (u > columns.start + 5) & (u < columns.stop - 5)
+        outside = (v < rows.start - 5) | (v > rows.stop + 5) | (u < columns.start - 5) | (u > columns.stop + 5)
+        self.assertGreater(numpy.median(abs(residual[inside])), 3 * numpy.median(abs(residual[outside])))
 
     def test_service_trains_and_refuses(self):
         rospy.wait_for_service("service_region/train_region", PATIENCE)

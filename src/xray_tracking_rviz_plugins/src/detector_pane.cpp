@@ -317,6 +317,7 @@ void DetectorPane::refresh(const Room& room, tf2_ros::Buffer& transforms,
     const ros::Time newest = messages.images.newest()->header.stamp;
     std::vector<std::vector<ros::Time>> streams;
     addIfLive(messages.regions, newest, streams);
+    addIfLive(messages.residuals, newest, streams);
     addIfLive(poses, newest, streams);
     const ros::Time stamp = exposureToShow(stampsOf(messages.images), streams, kPatience);
     shown.image = messages.images.at(stamp);
@@ -351,6 +352,10 @@ void DetectorPane::refresh(const Room& room, tf2_ros::Buffer& transforms,
     {
       drawing.state = "not tracked";
       drawing.note = "no " + QString::fromStdString(detector()) + "/tracked_region of this exposure";
+    }
+    if (const auto residuals = messages.residuals.at(stamp))
+    {
+      drawing.residuals = dotsOf(*residuals);
     }
     for (const auto& region : messages.regions.messages())
     {

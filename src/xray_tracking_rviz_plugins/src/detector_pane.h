@@ -40,7 +40,7 @@ public:
 
   const std::string& detector() const { return feed_->detector(); }
   RadiographView& view() { return *view_; }
-  const RadiographFeed& feed() const { return *feed_; }
+  RadiographFeed& feed() { return *feed_; }
 
   /// Shows the newest exposure that is complete.
   /// @param poses of the patient, by the exposures' stamps

@@ -51,6 +51,25 @@ RadiographFeed::~RadiographFeed()
   spinner_->stop();
 }
 
+void RadiographFeed::listenForResiduals(bool listen)
+{
+  if (!listen)
+  {
+    residuals_.shutdown();
+    const std::lock_guard<std::mutex> lock(mutex_);
+    messages_.residuals.clear();
+    return;
+  }
+  const boost::function<void(const xray_tracking_msgs::RegionResidualsConstPtr&)> residuals =
+      [this](const auto& message)
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    messages_.residuals.add(message);
+  };
+  residuals_ = nh_.subscribe<xray_tracking_msgs::RegionResiduals>(detector_ + "/region_residuals", 2, residuals,
+                                                                  nullptr, ros::TransportHints().tcpNoDelay());
+}
+
 void RadiographFeed::takeImage(const sensor_msgs::ImageConstPtr& image)
 {
   constexpr std::size_t kArrivals = 10;

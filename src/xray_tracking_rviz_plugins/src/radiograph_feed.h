@@ -12,6 +12,7 @@
 #include <sensor_msgs/CameraInfo.h>
 #include <sensor_msgs/Image.h>
 
+#include <xray_tracking_msgs/RegionResiduals.h>
 #include <xray_tracking_msgs/TrackedRegion.h>
 
 namespace xray_tracking
@@ -87,9 +88,10 @@ public:
   {
     Recent<sensor_msgs::Image> images{ 12 };
     Recent<xray_tracking_msgs::TrackedRegion> regions{ 60 };
-    sensor_msgs::CameraInfoConstPtr camera_info;  ///< the newest
-    double image_age = 0.0;                       ///< since the newest image came, by the monotonic clock [s]
-    double rate = 0.0;                            ///< of images, over the last ones [Hz]
+    Recent<xray_tracking_msgs::RegionResiduals> residuals{ 12 };  ///< none while they are not listened for
+    sensor_msgs::CameraInfoConstPtr camera_info;                  ///< the newest
+    double image_age = 0.0;  ///< since the newest image came, by the monotonic clock [s]
+    double rate = 0.0;       ///< of images, over the last ones [Hz]
   };
 
   /// @param detector name, relative to nh's namespace, or resolved
@@ -102,6 +104,8 @@ public:
   RadiographFeed& operator=(const RadiographFeed&) = delete;
 
   const std::string& detector() const { return detector_; }
+  /// The tracker makes them only while somebody listens. Not at first.
+  void listenForResiduals(bool listen);
   /// What there is, from any thread.
   Messages messages() const;
   void clear();
@@ -117,6 +121,7 @@ private:
   ros::CallbackQueue queue_;
   ros::NodeHandle nh_;
   std::vector<ros::Subscriber> subscribers_;
+  ros::Subscriber residuals_;
   std::unique_ptr<ros::AsyncSpinner> spinner_;
 };
 }  // namespace xray_tracking

@@ -110,6 +110,12 @@ void RadiographPanel::buildTools(QHBoxLayout* tools)
   inverted_button_ = new QPushButton("Inverted", this);
   inverted_button_->setObjectName("inverted");
   inverted_button_->setCheckable(true);
+  residuals_button_ = new QPushButton("Residuals", this);
+  residuals_button_->setObjectName("residuals");
+  residuals_button_->setCheckable(true);
+  residuals_button_->setToolTip(
+      "Where the tracked region differs from its template: from green, not at all,\n"
+      "to red, by as much as the template's contrast.");
   region_button_ = new QPushButton("Draw region", this);
   region_button_->setObjectName("draw_region");
   region_button_->setCheckable(true);
@@ -121,12 +127,14 @@ void RadiographPanel::buildTools(QHBoxLayout* tools)
   tools->addWidget(share_slider_);
   tools->addWidget(automatic_button_);
   tools->addWidget(inverted_button_);
+  tools->addWidget(residuals_button_);
   tools->addWidget(region_button_);
   tools->addWidget(rendering_label_, 1);
   connect(overlay_box_, QOverload<int>::of(&QComboBox::currentIndexChanged), this, &RadiographPanel::setOverlay);
   connect(share_slider_, &QSlider::valueChanged, this, &RadiographPanel::setOverlay);
   connect(automatic_button_, &QPushButton::toggled, this, &RadiographPanel::setAutomatic);
   connect(inverted_button_, &QPushButton::toggled, this, &RadiographPanel::setInverted);
+  connect(residuals_button_, &QPushButton::toggled, this, &RadiographPanel::setResiduals);
   connect(region_button_, &QPushButton::toggled, this, &RadiographPanel::setEditing);
   setOverlay();
 }
@@ -200,6 +208,15 @@ void RadiographPanel::setInverted(bool inverted)
   Q_EMIT configChanged();
 }
 
+void RadiographPanel::setResiduals(bool shown)
+{
+  for (const auto& pane : panes_)
+  {
+    pane->feed().listenForResiduals(shown);
+  }
+  Q_EMIT configChanged();
+}
+
 void RadiographPanel::setAutomatic(bool automatic)
 {
   for (const auto& pane : panes_)
@@ -230,6 +247,7 @@ void RadiographPanel::addPane(const std::string& detector)
   RadiographView& view = pane->view();
   view.setOverlay(overlay(), share_slider_->value() / 100.0);
   view.setInverted(inverted_button_->isChecked());
+  pane->feed().listenForResiduals(residuals_button_->isChecked());
   if (const auto window = saved_windows_.find(detector); window != saved_windows_.end())
   {
     view.setWindow(window->second);
@@ -400,7 +418,7 @@ void RadiographPanel::load(const rviz::Config& config)
 {
   rviz::Panel::load(config);
   int overlay = 0, share = 50;
-  bool inverted = false;
+  bool inverted = false, residuals = false;
   if (config.mapGetInt("Overlay", &overlay))
   {
     overlay_box_->setCurrentIndex(std::clamp(overlay, 0, overlay_box_->count() - 1));
@@ -412,6 +430,10 @@ void RadiographPanel::load(const rviz::Config& config)
   if (config.mapGetBool("Inverted", &inverted))
   {
     inverted_button_->setChecked(inverted);
+  }
+  if (config.mapGetBool("Residuals", &residuals))
+  {
+    residuals_button_->setChecked(residuals);
   }
   const rviz::Config windows = config.mapGetChild("Windows");
   for (rviz::Config::MapIterator window = windows.mapIterator(); window.isValid(); window.advance())
@@ -442,6 +464,7 @@ void RadiographPanel::save(rviz::Config config) const
   config.mapSetValue("Overlay", overlay_box_->currentIndex());
   config.mapSetValue("Share", share_slider_->value());
   config.mapSetValue("Inverted", inverted_button_->isChecked());
+  config.mapSetValue("Residuals", residuals_button_->isChecked());
   if (!automatic_button_->isChecked())
   {
     rviz::Config windows = config.mapMakeChild("Windows");

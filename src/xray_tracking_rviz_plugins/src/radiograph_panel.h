@@ -50,6 +50,7 @@ private Q_SLOTS:
   void refresh();
   void setOverlay();
   void setInverted(bool inverted);
+  void setResiduals(bool shown);
   void setAutomatic(bool automatic);
   void setEditing(bool editing);
   void windowSet();
@@ -80,6 +81,7 @@ private:
   QSlider* share_slider_;
   QPushButton* automatic_button_;
   QPushButton* inverted_button_;
+  QPushButton* residuals_button_;
   QPushButton* region_button_;
   QLabel* rendering_label_;
   QLabel* empty_label_;

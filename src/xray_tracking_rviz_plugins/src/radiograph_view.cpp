@@ -15,10 +15,19 @@ namespace
 constexpr double kHandle = 7.0;        // reach of edges and corners, screen pixels
 constexpr double kZoomStep = 1.2;      // a notch of the wheel
 constexpr double kWindowDrag = 300.0;  // screen pixels that double the width
+constexpr double kDot = 2.0;           // radius, screen pixels
 
 QPointF toQt(const Eigen::Vector2d& point)
 {
   return { point.x(), point.y() };
+}
+
+/// From green, faint, to red.
+QColor colourOf(const ResidualDot& dot)
+{
+  const auto between = [&](int from, int to) { return static_cast<int>(std::lround(from + dot.share * (to - from))); };
+  return { between(look::kGood.red(), look::kBad.red()), between(look::kGood.green(), look::kBad.green()),
+           between(look::kGood.blue(), look::kBad.blue()), between(90, 255) };
 }
 
 Eigen::Vector2d positionOf(const QMouseEvent* event)
@@ -216,6 +225,12 @@ void RadiographView::paintEvent(QPaintEvent*)
       }
       painter.setPen(QPen(look::kAccent, 1.2));
       painter.drawPath(path);
+    }
+    painter.setPen(Qt::NoPen);
+    for (const ResidualDot& dot : drawing_.residuals)
+    {
+      painter.setBrush(colourOf(dot));
+      painter.drawEllipse(toQt(mapping.toWidget(dot.pixel)), kDot, kDot);
     }
     if (drawing_.now)
     {

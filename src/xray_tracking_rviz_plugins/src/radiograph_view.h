@@ -22,6 +22,7 @@ struct Drawing
   std::optional<Outline> now;
   std::vector<Eigen::Vector2d> trail;  ///< oldest first
   std::vector<Segment> box;
+  std::vector<ResidualDot> residuals;
   QColor colour = look::kQuiet;  ///< of the region's state
   QString title;                 ///< detector
   QString state;                 ///< in words, in `colour`

@@ -1,5 +1,8 @@
 #include "track_shape.h"
 
+#include <algorithm>
+#include <cmath>
+
 namespace xray_tracking
 {
 namespace
@@ -59,6 +62,24 @@ std::optional<Outline> outlineNow(const TrackedRegion& region)
     corners[i] = *centre + linear * (0.5 * sizeOf(region).cwiseProduct(Eigen::Vector2d(kSigns[i][0], kSigns[i][1])));
   }
   return corners;
+}
+
+std::vector<ResidualDot> dotsOf(const xray_tracking_msgs::RegionResiduals& residuals)
+{
+  std::vector<ResidualDot> dots;
+  if (residuals.u.size() != residuals.v.size() || residuals.u.size() != residuals.residual.size())
+  {
+    return dots;
+  }
+  for (std::size_t i = 0; i < residuals.u.size(); ++i)
+  {
+    const ResidualDot dot{ { residuals.u[i], residuals.v[i] }, std::min(1.0, std::abs(double(residuals.residual[i]))) };
+    if (dot.pixel.allFinite() && std::isfinite(residuals.residual[i]))
+    {
+      dots.push_back(dot);
+    }
+  }
+  return dots;
 }
 
 std::string wordsOf(const TrackedRegion& region)

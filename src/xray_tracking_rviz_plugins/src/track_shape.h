@@ -8,6 +8,7 @@
 #include <Eigen/Core>
 #include <Eigen/Geometry>
 
+#include <xray_tracking_msgs/RegionResiduals.h>
 #include <xray_tracking_msgs/TrackedRegion.h>
 
 #include "xray_tracking_core/geometry/projection_geometry.h"
@@ -23,6 +24,15 @@ std::optional<Outline> outlineBegan(const xray_tracking_msgs::TrackedRegion& reg
 std::optional<Outline> outlineNow(const xray_tracking_msgs::TrackedRegion& region);
 /// The middle of where it is now; none as above.
 std::optional<Eigen::Vector2d> centreNow(const xray_tracking_msgs::TrackedRegion& region);
+
+/// How much a place of the region differs from the template.
+struct ResidualDot
+{
+  Eigen::Vector2d pixel;
+  double share;  ///< of the template's standard deviation, without its sign, 0..1 and no more
+};
+/// None where the message's lists are not of one length; dots that are not finite are left out.
+std::vector<ResidualDot> dotsOf(const xray_tracking_msgs::RegionResiduals& residuals);
 
 /// In one or two words, for people.
 std::string wordsOf(const xray_tracking_msgs::TrackedRegion& region);

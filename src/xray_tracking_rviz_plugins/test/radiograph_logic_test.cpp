@@ -96,6 +96,21 @@ TEST(TrackShape, IsWhereTheMessageSays)
   EXPECT_FALSE(outlineBegan(region));
 }
 
+TEST(TrackShape, DotsAreThoseThatMeanSomething)
+{
+  xray_tracking_msgs::RegionResiduals residuals;
+  residuals.u = { 1.0F, 2.0F, std::nanf(""), 4.0F };
+  residuals.v = { 5.0F, 6.0F, 7.0F, 8.0F };
+  residuals.residual = { -0.25F, 3.0F, 0.5F, std::nanf("") };
+  const std::vector<ResidualDot> dots = dotsOf(residuals);
+  ASSERT_EQ(dots.size(), 2U);
+  EXPECT_EQ(dots[0].pixel, Eigen::Vector2d(1.0, 5.0));
+  EXPECT_EQ(dots[0].share, 0.25);
+  EXPECT_EQ(dots[1].share, 1.0);
+  residuals.v.pop_back();
+  EXPECT_TRUE(dotsOf(residuals).empty());
+}
+
 /// Source 1.5 m above the isocentre, looking down; panel of 400 x 300 pixels of 0.5 mm, 2 m from it.
 ProjectionGeometry overheadDetector()
 {

@@ -121,6 +121,10 @@ protected:
     pose.header.frame_id = "treatment_room";
     pose.pose.pose.orientation.w = 1.0;
     pose_.publish(pose);
+    if (residuals_)
+    {
+      residuals_(stamp);
+    }
   }
 
   /// Counts the pictures of the first view.
@@ -185,6 +189,7 @@ protected:
   SyntheticDetector left_{ "left", 512 };
   SyntheticDetector right_{ "right", 512 };
   ros::Publisher pose_;
+  std::function<void(const ros::Time& stamp)> residuals_;  ///< publishes them along, if there are any
   RadiographPanel* panel_ = nullptr;
 };
 
@@ -225,6 +230,39 @@ TEST_F(RadiographPanelTest, ShowsWhereTheRegionIs)
     const Eigen::Vector2d aside = mapping.toWidget(middle) + Eigen::Vector2d(8.0, 8.0);
     EXPECT_FALSE(shows(view(0), aside, look::kGood)) << middle.transpose();
   }
+}
+
+/// Asked for only while they are shown; from green to red, wherever the message has them, and no other.
+TEST_F(RadiographPanelTest, ShowsResidualsWhileTheyAreWanted)
+{
+  QPushButton* button = panel_->findChild<QPushButton*>("residuals");
+  ros::Publisher residuals =
+      ros::NodeHandle().advertise<xray_tracking_msgs::RegionResiduals>("left/region_residuals", 2);
+  run(0.5);
+  EXPECT_EQ(residuals.getNumSubscribers(), 0U);
+  click(button);
+  run(5.0, [&] { return residuals.getNumSubscribers() > 0; });
+  ASSERT_EQ(residuals.getNumSubscribers(), 1U);
+  residuals_ = [&residuals](const ros::Time& stamp)
+  {
+    xray_tracking_msgs::RegionResiduals message;
+    message.header.stamp = stamp;
+    message.u = { 200.0F, 240.0F, std::nanf(""), 300.0F };
+    message.v = { 210.0F, 230.0F, 250.0F, 300.0F };
+    message.residual = { -1.5F, 0.0F, 0.3F, std::nanf("") };
+    residuals.publish(message);
+  };
+  run(1.5);
+  const ViewMapping mapping = view(0).picture().request.mapping;
+  EXPECT_TRUE(shows(view(0), mapping.toWidget({ 200.0, 210.0 }), look::kBad));
+  EXPECT_FALSE(shows(view(0), mapping.toWidget({ 240.0, 230.0 }), look::kBad));
+  EXPECT_FALSE(shows(view(0), mapping.toWidget({ 300.0, 300.0 }), look::kBad));
+  EXPECT_FALSE(shows(view(1), view(1).picture().request.mapping.toWidget({ 200.0, 210.0 }), look::kBad));
+  click(button);
+  run(5.0, [&] { return residuals.getNumSubscribers() == 0; });
+  run(0.5);
+  EXPECT_EQ(residuals.getNumSubscribers(), 0U);
+  EXPECT_FALSE(shows(view(0), mapping.toWidget({ 200.0, 210.0 }), look::kBad));
 }
 
 TEST_F(RadiographPanelTest, TrainsTheRegionThatIsDrawn)
@@ -368,6 +406,7 @@ TEST_F(RadiographPanelTest, KeepsItsSettings)
 {
   panel_->findChild<QComboBox*>("overlay")->setCurrentIndex(3);
   panel_->findChild<QPushButton*>("inverted")->setChecked(true);
+  panel_->findChild<QPushButton*>("residuals")->setChecked(true);
   view(0).setWindow(GreyWindow{ 1234.5, 30000.25, true });
   panel_->findChild<QPushButton*>("automatic")->setChecked(false);
   view(0).setWindow(GreyWindow{ 1234.5, 30000.25, true });
@@ -376,11 +415,13 @@ TEST_F(RadiographPanelTest, KeepsItsSettings)
   panel_->save(config);
   panel_->findChild<QComboBox*>("overlay")->setCurrentIndex(0);
   panel_->findChild<QPushButton*>("inverted")->setChecked(false);
+  panel_->findChild<QPushButton*>("residuals")->setChecked(false);
   panel_->findChild<QPushButton*>("automatic")->setChecked(true);
   panel_->load(config);
   run(0.5);
   EXPECT_EQ(panel_->findChild<QComboBox*>("overlay")->currentIndex(), 3);
   EXPECT_TRUE(panel_->findChild<QPushButton*>("inverted")->isChecked());
+  EXPECT_TRUE(panel_->findChild<QPushButton*>("residuals")->isChecked());
   EXPECT_NEAR(view(0).picture().window.low, 1234.5, 0.01);
   EXPECT_NEAR(view(0).picture().window.high, 30000.25, 0.01);
 }

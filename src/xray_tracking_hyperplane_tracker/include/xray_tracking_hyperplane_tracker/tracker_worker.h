@@ -79,7 +79,8 @@ private:
   /// Takes note of a template that was learnt on this image.
   void noteReference(const sensor_msgs::ImageConstPtr& image);
   void tell(const TrackedRegion& result, const std::string& error);
-  void publishOverlay(const sensor_msgs::ImageConstPtr& image, const TrackedRegion& result);
+  /// What people may look at: made after the answer, and only while somebody does.
+  void publishResiduals(const sensor_msgs::ImageConstPtr& image, const TrackedRegion& result);
 
   ros::NodeHandle nh_;
   const std::string name_;
@@ -107,6 +108,7 @@ private:
 
   ros::Publisher region_publisher_;
   ros::Publisher overlay_publisher_;
+  ros::Publisher residuals_publisher_;
   ros::Subscriber image_subscriber_;
   std::thread thread_;
 };

@@ -6,6 +6,7 @@
 
 #include <cv_bridge/cv_bridge.h>
 #include <sensor_msgs/image_encodings.h>
+#include <xray_tracking_msgs/RegionResiduals.h>
 #include <boost/make_shared.hpp>
 
 #include "../state_names.h"
@@ -14,6 +15,7 @@
 #include "xray_tracking_core/sequence/treatment_setup.h"
 #include "xray_tracking_core/stopwatch.h"
 #include "xray_tracking_hyperplane_tracker/region_overlay.h"
+#include "xray_tracking_hyperplane_tracker/residual_points.h"
 
 namespace xray_tracking
 {
@@ -60,6 +62,20 @@ void setMotion(const ViewAnswer& answer, TrackedRegion& message)
   message.iterations = static_cast<std::uint32_t>(motion.iterations);
 }
 
+xray_tracking_msgs::RegionResiduals residualsMessage(const std_msgs::Header& header,
+                                                     const std::vector<ResidualPoint>& points)
+{
+  xray_tracking_msgs::RegionResiduals message;
+  message.header = header;
+  for (const ResidualPoint& point : points)
+  {
+    message.u.push_back(point.place.x);
+    message.v.push_back(point.place.y);
+    message.residual.push_back(point.residual);
+  }
+  return message;
+}
+
 /// What a training that worked is said to have done.
 std::string successOf(const Training& training, bool trained, const ros::Time& stamp)
 {
@@ -81,6 +97,7 @@ TrackerWorker::TrackerWorker(const ros::NodeHandle& nh, const std::string& name,
     configuration_fault_(fault),
     region_publisher_(nh_.advertise<TrackedRegion>("tracked_region", 100)),
     overlay_publisher_(nh_.advertise<sensor_msgs::Image>("tracked_region_image", 2)),
+    residuals_publisher_(nh_.advertise<xray_tracking_msgs::RegionResiduals>("region_residuals", 2)),
     thread_([this] { work(); })
 {
 }
@@ -272,7 +289,7 @@ void TrackerWorker::publish(const Arrival& arrival, const ViewAnswer& answer, do
   result->wall_time = ros::Duration((ros::SteadyTime::now() - arrival.time).toSec());
   region_publisher_.publish(result);
   tell(*result, answer.error ? answer.fault : std::string());
-  publishOverlay(arrival.image, *result);
+  publishResiduals(arrival.image, *result);
 }
 
 void TrackerWorker::finish(TrainingRequest& request, const sensor_msgs::ImageConstPtr& image, const cv::Mat& pixels,
@@ -330,9 +347,11 @@ void TrackerWorker::tell(const TrackedRegion& result, const std::string& error)
   status_.noteAnswer(result, error);
 }
 
-void TrackerWorker::publishOverlay(const sensor_msgs::ImageConstPtr& image, const TrackedRegion& result)
+void TrackerWorker::publishResiduals(const sensor_msgs::ImageConstPtr& image, const TrackedRegion& result)
 {
-  if (overlay_publisher_.getNumSubscribers() == 0)
+  const bool picture = overlay_publisher_.getNumSubscribers() > 0;
+  const bool points = residuals_publisher_.getNumSubscribers() > 0;
+  if (!picture && !points)
   {
     return;
   }
@@ -342,17 +361,28 @@ void TrackerWorker::publishOverlay(const sensor_msgs::ImageConstPtr& image, cons
     RegionOverlay overlay;
     overlay.reference = rectFromRegionMsg(result.region);
     overlay.colour = stateColour(result.state);
+    std::vector<ResidualPoint> residuals;
     if (isFound(result.state))
     {
       overlay.found = tracker_->lastTrack();
-      if (parameters_.overlay_points)
+      if (points || parameters_.overlay_points)
       {
-        overlay.points =
-            residualPoints(pixelsFromMsg(*reference_), overlay.reference, pixels, *overlay.found, intensity_);
+        residuals = residualPoints(pixelsFromMsg(*reference_), overlay.reference, pixels, *overlay.found, intensity_);
       }
     }
-    const cv::Mat picture = drawRegionOverlay(pixels, overlay);
-    overlay_publisher_.publish(cv_bridge::CvImage(image->header, encodings::BGR8, picture).toImageMsg());
+    if (points)
+    {
+      residuals_publisher_.publish(residualsMessage(image->header, residuals));
+    }
+    if (picture)
+    {
+      if (parameters_.overlay_points)
+      {
+        overlay.points = std::move(residuals);
+      }
+      const cv::Mat drawn = drawRegionOverlay(pixels, overlay);
+      overlay_publisher_.publish(cv_bridge::CvImage(image->header, encodings::BGR8, drawn).toImageMsg());
+    }
   }
   catch (const std::exception&)
   {
