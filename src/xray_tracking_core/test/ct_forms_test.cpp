@@ -388,6 +388,27 @@ TEST_F(CtFormsTest, DicomPixelsAsTheStandardHasThem)
      },
       { "RescaleSlope is \"0\"" } },
     { [](DicomElements& slice, int) {
+       slice[{ 0x28, 0x1053 }].second = "2,0000";
+     },
+      { "RescaleSlope is \"2,0000" } },
+    { [](DicomElements& slice, int k)
+      {
+        if (k == 1)
+        {
+          slice.erase({ 0x28, 0x1052 });
+          slice.erase({ 0x28, 0x1053 });
+        }
+      },
+      { "RescaleSlope" } },
+    { [](DicomElements& slice, int) {
+       slice[{ 0x28, 0x0030 }].second = "-1\\1";
+     },
+      { "PixelSpacing is -1\\1", "0.01 to 20" } },
+    { [](DicomElements& slice, int) {
+       slice[{ 0x28, 0x0030 }].second = "0.001\\0.001";
+     },
+      { "PixelSpacing is 0.001" } },
+    { [](DicomElements& slice, int) {
        slice[{ 0x28, 0x0004 }].second = "PALETTE COLOR";
      },
       { "PALETTE COLOR" } },

@@ -252,6 +252,9 @@ TEST(Sequence, FramesMayBePatternsOfFiles)
   refused("cam1/*.png", "cam1/*2.png", { "frames.files.detector_b", "as many files as detector_a has, 2, not 12" });
   refused("detector_b: 'cam2", "detector_c: 'cam2", { "frames.files.detector_c", "detector_a, detector_b" });
   refused(", detector_b: 'cam2/f???.png'", "", { "no image of detector_b" });
+  std::filesystem::remove(folder.folder().path("cam1/run2_5.png"));
+  std::filesystem::remove(folder.folder().path("cam2/f007.png"));
+  refused("rate: 30", "rate: 20", { "frames.files.detector_a", "run2_4.png and ", "run2_6.png 1 are missing" });
   cv::imwrite(folder.folder().path("cam1/run2_03.png"), cv::Mat(kSize.y(), kSize.x(), CV_16UC1, cv::Scalar(7)));
   refused("rate: 30", "rate: 20", { "frames.files.detector_a", "run2_03.png", "run2_3.png" });
 }
@@ -423,6 +426,17 @@ TEST(TreatmentSetup, RejectsBadFiles)
   expectRejected("detectors:\n", "detectors: sequence.yaml\nother:\n", { "detectors", "a list" });
   expectRejected("detectors:\n", "detectors: []\nother:\n", { "detectors", "two or more" });
   expectRejected("detectors:\n", "detectors: [\n", { "sequence.yaml", "not YAML" });
+
+  // A second value, or one that is spelt so that nobody reads it.
+  expectRejected("site: a key", "site: a\nintensity: {kind: attenuation}\nother: a key",
+                 { "sequence.yaml, line", "intensity is there twice" });
+  expectRejected("max: [10, 22, 36]}", "max: [10, 22, 36], min: [0, 0, 0]}", { "target_box_mm.min is there twice" });
+  expectRejected("site: a key", "<<: {ct: other}\nsite: a key", { "merged keys are not read" });
+  expectRejected("site: a key that nobody reads\n", "---\nsite: b\n", { "2 documents" });
+  expectRejected("air_counts: 60000", "air_count: 60000", { "intensity.air_count", "did you mean air_counts?" });
+  expectRejected("regions:\n", "region:\n", { "line", "did you mean regions?" });
+  expectRejected("    y_direction: [0.0, 0.0, 1.0]\n", "    y_direction: [0.0, 0.0, 1.0]\n    distorsion: 0\n",
+                 { "detectors[1].distorsion", "did you mean distortion?" });
 
   const TemporaryFolder empty;
   expectError<std::runtime_error>([&] { loadSequence(empty.path()); }, { "sequence.yaml", "missing" });

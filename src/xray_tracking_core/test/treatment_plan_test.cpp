@@ -188,6 +188,8 @@ TEST_F(TreatmentPlanTest, Refused)
   expectRefused(first({ { { 0x300a, 0x012c }, { "DS", "1\\2\\nan" } } }), { "HFS" }, { beam, "(300A,012C)", "nan" });
   expectRefused(first({ { { 0x300a, 0x012c }, { "DS", "1\\2\\1e9" } } }), { "HFS" }, { beam, "(300A,012C)", "1e9" });
   expectRefused(first({ { { 0x300a, 0x0122 }, { "DS", "left" } } }), { "HFS" }, { beam, "(300A,0122)", "left" });
+  expectRefused(first({ { { 0x300a, 0x0122 }, { "DS", "" } } }), { "HFS" }, { beam, "(300A,0122)", "absent or empty" });
+  expectRefused(first({ { { 0x300a, 0x0122 }, { "DS", "0\\30" } } }), { "HFS" }, { beam, "(300A,0122)", "0\\30" });
   expectRefused(first({ { { 0x300a, 0x0122 }, { "DS", "3600" } } }), { "HFS" }, { beam, "(300A,0122)", "3600" });
   expectRefused(first({ { { 0x300a, 0x0140 }, { "FL", bytesOf({ std::numeric_limits<float>::quiet_NaN() }) } } }),
                 { "HFS" }, { beam, "(300A,0140)", "-360 to 360" });

@@ -128,6 +128,14 @@ int importDetectors(const po::variables_map& arguments)
   {
     throw std::invalid_argument("--views is missing, expected the files to import");
   }
+  for (const std::string& file : files)
+  {
+    std::error_code none;
+    if (std::filesystem::equivalent(file, out, none))
+    {
+      throw std::invalid_argument(out + " is one of --views: expected another file, as it would be overwritten");
+    }
+  }
   GeometryImportOptions options = optionsOf(arguments);
   options.default_names = into.empty() ? std::vector<std::string>() : namesIn(into);
   const ImportedGeometry imported = importGeometry(files, options);

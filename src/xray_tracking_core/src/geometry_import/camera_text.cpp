@@ -45,7 +45,8 @@ Sections sectionsOf(const std::string& path, const std::string& text)
   for (const TextLine& line : linesOf(path, text))
   {
     // An exponent is no heading.
-    if (std::isalpha(static_cast<unsigned char>(line.text.front())) == 0 || lowerCase(line.text) == "nan")
+    if (std::isalpha(static_cast<unsigned char>(line.text.front())) == 0 ||
+        lowerCase(line.text).compare(0, 3, "nan") == 0 || lowerCase(line.text).compare(0, 3, "inf") == 0)
     {
       if (current == nullptr)
       {
@@ -90,10 +91,11 @@ Eigen::MatrixXd numbersOf(const Sections& sections, const std::string& path, con
   const bool is_line = columns == 1 && found->second.rows.size() == 1 && static_cast<int>(values.size()) == rows;
   if (!is_table && !is_line)
   {
-    fail(found->second.where, heading + " has " + std::to_string(values.size()) + " numbers in " +
-                                  std::to_string(found->second.rows.size()) + " lines: expected " +
-                                  std::to_string(rows) + (rows == 1 ? " line" : " lines") + " of " +
-                                  std::to_string(columns));
+    fail(found->second.where,
+         heading + " has " + std::to_string(values.size()) + " numbers in " +
+             std::to_string(found->second.rows.size()) + " lines: expected " + std::to_string(rows) +
+             (rows == 1 ? " line" : " lines") + " of " + std::to_string(columns) +
+             (static_cast<int>(values.size()) > rows * columns ? ". Are there decimal commas? Expected points" : ""));
   }
   return Eigen::Map<Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>>(values.data(), rows,
                                                                                             columns);
@@ -240,6 +242,12 @@ std::vector<ImportedView> readMayaCam(const std::string& path, const std::string
   view.matrix << camera * rotation, camera * translation;
   view.matrix.leftCols<3>() /= options.unit.value_or(1.0);
   view.distortion = distortionOf(sections);
+  if (!view.distortion.model.empty())
+  {
+    // A negative focal length turns the axis, and the tangential coefficient that belongs to it.
+    view.distortion.values[3] *= camera(0, 0) < 0.0 ? -1.0 : 1.0;
+    view.distortion.values[2] *= camera(1, 1) < 0.0 ? -1.0 : 1.0;
+  }
   view.hint =
       "if the images are right: is the rotation that of a camera with y up and z backwards (OpenGL)? Then change the "
       "sign of the second and third row of rotation and translation; or are rotation and translation the camera's pose "

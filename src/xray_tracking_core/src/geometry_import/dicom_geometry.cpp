@@ -14,6 +14,7 @@ namespace xray_tracking
 {
 namespace
 {
+constexpr double kSameMagnification = 0.05;
 constexpr double kDegree = boost::math::constants::degree<double>();
 constexpr double kLevel = 0.1;          // degrees of tilt that are none
 constexpr double kSamePlane = 1.0;      // mm
@@ -25,11 +26,15 @@ const std::map<std::string, gdcm::Tag> kTags{
   { "DistanceSourceToDetector", { 0x0018, 0x1110 } },
   { "DistanceSourceToPatient", { 0x0018, 0x1111 } },
   { "ImagerPixelSpacing", { 0x0018, 0x1164 } },
+  { "EstimatedRadiographicMagnificationFactor", { 0x0018, 0x1114 } },
   { "PositionerMotion", { 0x0018, 0x1500 } },
+  { "PositionerType", { 0x0018, 0x1508 } },
   { "PositionerPrimaryAngle", { 0x0018, 0x1510 } },
   { "PositionerSecondaryAngle", { 0x0018, 0x1511 } },
   { "DetectorPrimaryAngle", { 0x0018, 0x1530 } },
   { "DetectorSecondaryAngle", { 0x0018, 0x1531 } },
+  { "FieldOfViewRotation", { 0x0018, 0x7032 } },
+  { "FieldOfViewHorizontalFlip", { 0x0018, 0x7034 } },
   { "PatientOrientation", { 0x0020, 0x0020 } },
   { "NumberOfFrames", { 0x0028, 0x0008 } },
   { "Rows", { 0x0028, 0x0010 } },
@@ -195,6 +200,10 @@ ImportedView positionerView(const Attributes& file, const GeometryImportOptions&
   {
     file.fail("PositionerMotion is DYNAMIC: expected STATIC, one place of the detector");
   }
+  if (const std::string type = file.text("PositionerType"); !type.empty() && type != "CARM")
+  {
+    file.fail("PositionerType is " + type + ": expected CARM, whose angles are those of a source about the patient");
+  }
   file.requireLevel("DetectorPrimaryAngle");
   file.requireLevel("DetectorSecondaryAngle");
   const double primary = file.number("PositionerPrimaryAngle") * kDegree;
@@ -205,6 +214,22 @@ ImportedView positionerView(const Attributes& file, const GeometryImportOptions&
   {
     file.fail("DistanceSourceToPatient is " + file.text("DistanceSourceToPatient") + ", DistanceSourceToDetector " +
               file.text("DistanceSourceToDetector") + ": expected the detector beyond the patient; are they swapped?");
+  }
+  const double magnification = file.numberOr("EstimatedRadiographicMagnificationFactor", sdd / sid);
+  if (!(std::abs(magnification * sid / sdd - 1.0) <= kSameMagnification))
+  {
+    std::ostringstream what;
+    what << "EstimatedRadiographicMagnificationFactor is " << magnification << ", but the distances from the source, "
+         << sid << " and " << sdd << " mm, make " << sdd / sid << ": expected the same to 5 %";
+    file.fail(what.str());
+  }
+  const bool is_turned =
+      file.numberOr("FieldOfViewRotation", 0.0) != 0.0 || file.text("FieldOfViewHorizontalFlip") == "YES";
+  if (is_turned && file.text("PatientOrientation").empty())
+  {
+    file.fail(
+        "FieldOfViewRotation or FieldOfViewHorizontalFlip says that the image is turned, and PatientOrientation is "
+        "absent: expected one of them alone to say how it lies");
   }
   // Left, posterior, superior: detector in front of the patient at 0, 0, at his left at 90, at his head at
   // secondary 90.

@@ -7,6 +7,7 @@
 #include <stdexcept>
 
 #include <Eigen/Dense>
+#include <boost/math/constants/constants.hpp>
 
 #include "import_words.h"
 #include "view_camera.h"
@@ -17,6 +18,10 @@ namespace xray_tracking
 {
 namespace
 {
+constexpr double kDegree = boost::math::constants::degree<double>();
+constexpr double kNearEdge = 0.1;    // of the image
+constexpr double kTellMiss = 5.0;    // of rays from what all views see [mm]
+constexpr double kTellAngle = 20.0;  // between the views [degrees]
 constexpr double kTellSkew = 1e-3;   // px
 constexpr double kSamePitch = 0.01;  // of pitches and focal lengths
 constexpr double kSamePlace = 1.0;   // mm, of sources
@@ -210,9 +215,48 @@ std::string remarkOf(const ImportedView& view, const ProjectionGeometry& detecto
       text << "; that is nearer to the source than to the panel: are they swapped?";
     }
   }
+  const Eigen::Array2d at = detector.foot().array() / (detector.imageSize().cast<double>().array() - 1.0);
+  if (!((at >= kNearEdge).all() && (at <= 1.0 - kNearEdge).all()))
+  {
+    text << "; the principal point is near the image's edge or outside: is the first pixel's place (origin_mm, "
+            "RTImagePosition) that of its centre, in mm?";
+  }
   if (camera.skew > kTellSkew)
   {
     text << "; a skew of " << camera.skew << " px at the image's edge is left out";
+  }
+  return text.str();
+}
+
+/// How well the views agree about what they all see.
+std::string remarkOn(const Eigen::Vector3d& point, const std::vector<ProjectionGeometry>& detectors)
+{
+  double miss = 0.0;
+  double least_cosine = 1.0;
+  for (const ProjectionGeometry& detector : detectors)
+  {
+    const Ray ray = detector.backProject(0.5 * (detector.imageSize().cast<double>().array() - 1.0).matrix());
+    const Eigen::Vector3d to_point = point - ray.source;
+    miss = std::max(miss, to_point.cross(ray.direction).norm());
+    for (const ProjectionGeometry& other : detectors)
+    {
+      // Opposite views see the same.
+      least_cosine = std::min(least_cosine, std::abs(to_point.normalized().dot((point - other.source()).normalized())));
+    }
+  }
+  const double angle = std::acos(std::min(least_cosine, 1.0)) / kDegree;
+  std::ostringstream text;
+  text.precision(3);
+  text << "all views see " << placeOf(point) << " mm";
+  if (miss > kTellMiss)
+  {
+    text << ", which the rays through the images' middles pass at up to " << miss
+         << " mm: if the images were not taken so, look whether rotations are transposed (MATLAB has them so)";
+  }
+  if (angle < kTellAngle)
+  {
+    text << "; they are " << angle << " degrees apart at most, which leaves depth " << 1.0 / std::sin(angle * kDegree)
+         << " times as uncertain: are angles in degrees?";
   }
   return text.str();
 }
@@ -328,10 +372,14 @@ ImportedGeometry importGeometry(const std::vector<std::string>& files, const Geo
     imported.detectors.push_back(ProjectionGeometry::fromIntrinsics(view.name, view.image_size, camera.focal_length,
                                                                     camera.foot, room_from_optical, sdd));
     const ProjectionGeometry& detector = imported.detectors.back();
-    const std::string doubt = point ? implausibility(detector, *point) : "";
-    if (!doubt.empty() && !options.unit)  // which says that they are right
+    const std::string doubt = point ? implausibility(detector, *point) : implausibility(detector);
+    // --unit mm says that distances are right, but not that the panel stands before the patient.
+    const double depth = point ? detector.depth(*point) : 0.5 * detector.sourceToDetector();
+    const bool possible = depth > 0.0 && depth < detector.sourceToDetector();
+    if (!doubt.empty() && !(possible && options.unit == 1.0))
     {
-      fail(view.where, doubt + (view.is_in_mm ? "" : ". Then give --unit m or cm; if they are right, --unit mm"));
+      const bool advise = possible && !view.is_in_mm && !options.unit;
+      fail(view.where, doubt + (advise ? " Give --unit m or cm; if distances are right, --unit mm" : ""));
     }
     imported.distortions.push_back(view.distortion);
     if (!view.distortion.model.empty())
@@ -341,7 +389,7 @@ ImportedGeometry importGeometry(const std::vector<std::string>& files, const Geo
     imported.remarks.push_back(remarkOf(view, detector, camera, point));
   }
   imported.point = point;
-  imported.remarks.push_back(point ? "all views see " + placeOf(*point) + " mm"
+  imported.remarks.push_back(point ? remarkOn(*point, imported.detectors)
                                    : "no room point is in the middle of all images: do the views belong together?");
   return imported;
 }

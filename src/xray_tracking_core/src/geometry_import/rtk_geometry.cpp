@@ -212,7 +212,12 @@ std::vector<ImportedView> readRtkGeometry(const std::string& path, const std::st
     {
       fail(where, "SourceToDetectorDistance is 0, parallel rays: expected a source");
     }
-    if (std::abs(sid) >= std::abs(sdd))
+    if (!(sid > 0.0 && sdd > 0.0))
+    {
+      fail(where, sentence("SourceToIsocenterDistance is ", sid, ", SourceToDetectorDistance ", sdd,
+                           ": expected positive distances"));
+    }
+    if (sid >= sdd)
     {
       std::ostringstream what;
       what << "SourceToIsocenterDistance is " << sid << ", SourceToDetectorDistance " << sdd

@@ -332,7 +332,11 @@ void Structure::requireOn(const CtFrame& ct) const
     fail("its frame of reference (3006,0024) is " + frame_of_reference_ + ", that of the CT " + ct.path +
          " (0020,0052) " + ct.frame_of_reference + ": expected the same; it was drawn on another scan");
   }
-  if (!ct.grid.extent().intersects(box()))
+  // Contours reach half way to the planes beside theirs.
+  Eigen::AlignedBox3d reach = ct.grid.extent();
+  const Eigen::Vector3d margin = Eigen::Vector3d::Constant(ct.grid.spacing().maxCoeff());
+  reach = Eigen::AlignedBox3d(reach.min() - margin, reach.max() + margin);
+  if (!reach.contains(box()))
   {
     std::ostringstream message;
     message << "it reaches from " << box().min().transpose() << " to " << box().max().transpose() << " mm, the CT "

@@ -28,6 +28,7 @@ const gdcm::Tag kReferencedRoi(0x3006, 0x0084);
 
 /// No patient is larger [mm].
 constexpr double kFarthest = 1e4;
+constexpr std::size_t kMostPoints = 20000;  // of a contour; a real one has hundreds
 
 /// The ROI's item of StructureSetROISequence.
 DicomData chosenRoi(const DicomData& file, const StructureChoice& choice)
@@ -43,7 +44,7 @@ DicomData chosenRoi(const DicomData& file, const StructureChoice& choice)
   for (std::size_t n = 0; n < rois.size(); ++n)
   {
     const std::string name = rtName(file, rois[n], kRoiName);
-    if (name == choice.roi)
+    if (!choice.roi.empty() && name == choice.roi)
     {
       found.push_back(rois[n]);
     }
@@ -113,6 +114,11 @@ std::vector<Eigen::Vector3d> pointsOf(const DicomData& contour, const std::strin
     failRt(where, "ContourData (3006,0050) is " +
                       (text.empty() ? "absent or empty" : "'" + text.substr(0, 60) + "...'") +
                       ", expected numbers x\\y\\z of each point");
+  }
+  if (values.size() > 3 * kMostPoints)
+  {
+    failRt(where, "ContourData (3006,0050) has " + std::to_string(values.size() / 3) + " points, expected at most " +
+                      std::to_string(kMostPoints));
   }
   const std::vector<double> count = contour.numbers(kPointCount);
   if (values.size() % 3 != 0 || (!count.empty() && count.front() != static_cast<double>(values.size()) / 3.0))

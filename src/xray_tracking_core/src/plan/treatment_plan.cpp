@@ -17,6 +17,7 @@ const gdcm::Tag kFrameOfReference(0x0020, 0x0052);
 const gdcm::Tag kBeams(0x300a, 0x00b0);
 const gdcm::Tag kBeamNumber(0x300a, 0x00c0);
 const gdcm::Tag kBeamName(0x300a, 0x00c2);
+const gdcm::Tag kDeliveryType(0x300a, 0x00ce);
 const gdcm::Tag kControlPoints(0x300a, 0x0111);
 const gdcm::Tag kIsocentre(0x300a, 0x012c);
 const gdcm::Tag kSetups(0x300a, 0x0180);
@@ -46,6 +47,8 @@ const std::vector<Angle> kAngles{
   { "TableTopPitchAngle (300A,0140)", { 0x300a, 0x0140 }, &PlanBeam::pitch_angle, true },
   { "TableTopRollAngle (300A,0144)", { 0x300a, 0x0144 }, &PlanBeam::roll_angle, true },
 };
+
+constexpr std::size_t kCouch = 1;
 
 /// Rows: the table top's X, Y, Z (of a couch at 0: to the right of who faces the gantry, to the gantry, up) in LPS.
 /// Decubitus right: the right side is down.
@@ -96,7 +99,8 @@ void readControlPoint(const DicomData& point, const std::string& where, PlanBeam
     {
       continue;
     }
-    const double value = point.number(angle.tag).value_or(NAN);
+    const std::vector<double> values = point.numbers(angle.tag);
+    const double value = values.size() == 1 ? values.front() : NAN;
     if (!(std::abs(value) <= 360.0))
     {
       failRt(where, std::string(angle.name) + " is '" + point.text(angle.tag).substr(0, 40) +
@@ -164,6 +168,12 @@ PlanBeam readBeam(const DicomData& file, const DicomData& item, const std::strin
   if (!points.empty())
   {
     readControlPoint(points.front(), where, beam);
+    if (!points.front().number(kAngles[kCouch].tag))
+    {
+      failRt(where,
+             std::string(kAngles[kCouch].name) +
+                 " is absent or empty in its first control point, expected degrees: the patient lies turned by it");
+    }
   }
   if (!beam.isocentre.allFinite())
   {
@@ -216,7 +226,18 @@ TreatmentPlan readTreatmentPlan(const std::string& path)
   }
   for (const DicomData& item : file.items(kBeams))
   {
-    plan.beams.push_back(readBeam(file, item, path));
+    try
+    {
+      plan.beams.push_back(readBeam(file, item, path));
+    }
+    catch (const std::runtime_error&)
+    {
+      // Beams for setup images have no isocentre in some plans, and treat nobody.
+      if (item.text(kDeliveryType) != "SETUP")
+      {
+        throw;
+      }
+    }
   }
   if (plan.beams.empty())
   {

@@ -6,6 +6,7 @@
 #include <cctype>
 #include <cmath>
 #include <filesystem>
+#include <optional>
 #include <stdexcept>
 #include <tuple>
 
@@ -39,6 +40,53 @@ std::vector<std::tuple<bool, std::size_t, std::string>> piecesOf(const std::stri
   return pieces;
 }
 
+/// Where names tell one number each, and step from one to the next by the same but for gaps, of whole steps: files are
+/// missing, and those behind would be paired with another moment's. Numbers that step otherwise are no counters.
+void requireNoGaps(const std::vector<std::string>& files, const YamlField& pattern)
+{
+  constexpr std::size_t kDigits = 18;  // of what a long long holds
+  std::optional<std::size_t> counter;
+  std::vector<std::vector<std::tuple<bool, std::size_t, std::string>>> names;
+  for (const std::string& file : files)
+  {
+    names.push_back(piecesOf(file));
+    if (names.back().size() != names.front().size())
+    {
+      return;
+    }
+    for (std::size_t piece = 0; piece < names.back().size(); ++piece)
+    {
+      if (names.back()[piece] == names.front()[piece])
+      {
+        continue;
+      }
+      if ((counter && *counter != piece) || std::get<1>(names.back()[piece]) == 0 ||
+          std::get<1>(names.back()[piece]) > kDigits)
+      {
+        return;
+      }
+      counter = piece;
+    }
+  }
+  if (!counter)
+  {
+    return;
+  }
+  std::vector<long long> steps;
+  for (std::size_t k = 1; k < names.size(); ++k)
+  {
+    steps.push_back(std::stoll(std::get<2>(names[k][*counter])) - std::stoll(std::get<2>(names[k - 1][*counter])));
+  }
+  const long long step = *std::min_element(steps.begin(), steps.end());
+  const auto gap = std::max_element(steps.begin(), steps.end());
+  if (*gap > step && std::all_of(steps.begin(), steps.end(), [step](long long each) { return each % step == 0; }))
+  {
+    const auto before = static_cast<std::size_t>(gap - steps.begin());
+    pattern.fail("numbers without gaps, but between " + files[before] + " and " + files[before + 1] + " " +
+                 std::to_string(*gap / step - 1) + " are missing; give a table frames.csv of those that are there");
+  }
+}
+
 std::vector<std::string> filesOf(const YamlField& pattern, const std::string& directory)
 {
   const std::string path = (std::filesystem::path(directory) / pattern.text()).string();
@@ -59,12 +107,14 @@ std::vector<std::string> filesOf(const YamlField& pattern, const std::string& di
       pattern.fail("names whose numbers tell their order, not " + files[k - 1] + " and " + files[k]);
     }
   }
+  requireNoGaps(files, pattern);
   return files;
 }
 }  // namespace
 
 std::vector<FrameRow> frameFiles(const YamlField& frames, const std::string& directory)
 {
+  frames.refuseMisspelt({ "rate", "files" });
   const YamlField rate = frames.get("rate");
   const auto frequency = rate.number<double>();
   if (!(frequency > 0.0 && frequency <= kMaxRate))

@@ -10,6 +10,7 @@
 #include <stdexcept>
 
 #include "frame_files.h"
+#include "setup_node.h"
 #include "yaml_field.h"
 
 namespace xray_tracking
@@ -224,17 +225,9 @@ std::vector<StampedPose> readGoldStandard(const std::vector<Exposure>& exposures
   }
   return poses;
 }
-/// The list of detectors, which may be another file's.
-YamlField detectorList(const std::string& path)
-{
-  const YamlField list = YamlField::fromFile(path).get("detectors");
-  return list.isScalar() ? YamlField::fromFile((std::filesystem::absolute(path).parent_path() / list.text()).string())
-                               .get("detectors")
-                         : list;
-}
-
 LensDistortion readDistortion(const YamlField& field, const ProjectionGeometry& detector)
 {
+  field.refuseMisspelt({ "model", "coefficients" });
   std::vector<double> coefficients;
   field.get("coefficients").forEachItem([&](const YamlField& item) { coefficients.push_back(item.number<double>()); });
   try
@@ -257,13 +250,14 @@ cv::Mat Sequence::image(std::size_t exposure, std::size_t detector) const
 std::vector<LensDistortion> loadDistortions(const std::string& path, const std::vector<ProjectionGeometry>& detectors)
 {
   std::vector<LensDistortion> distortions;
-  detectorList(path).forEachItem(
-      [&](const YamlField& item)
-      {
-        const auto distortion = item.find("distortion");
-        distortions.push_back(distortion ? readDistortion(*distortion, detectors.at(distortions.size()))
-                                         : LensDistortion());
-      });
+  detectorList(YamlField::fromFile(path), path)
+      .forEachItem(
+          [&](const YamlField& item)
+          {
+            const auto distortion = item.find("distortion");
+            distortions.push_back(distortion ? readDistortion(*distortion, detectors.at(distortions.size()))
+                                             : LensDistortion());
+          });
   return distortions;
 }
 

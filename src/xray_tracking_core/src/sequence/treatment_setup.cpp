@@ -24,6 +24,8 @@ std::string resolvePath(const std::string& path, const std::string& file)
 
 ProjectionGeometry readDetector(const YamlField& field)
 {
+  field.refuseMisspelt(
+      { "name", "image_size", "pixel_pitch_mm", "source_mm", "origin_mm", "x_direction", "y_direction", "distortion" });
   DetectorDescription description;
   description.name = field.get("name").text();
   description.image_size = field.get("image_size").vector<int, 2>();
@@ -67,15 +69,15 @@ std::vector<ProjectionGeometry> readDetectors(const YamlField& list)
 
 IntensityModel readIntensity(const YamlField& field)
 {
+  field.refuseMisspelt({ "kind", "offset", "air_counts" });
   IntensityModel intensity;
-  const YamlField kind = field.get("kind");
-  if (kind.text() == "attenuation")
+  if (const auto kind = field.find("kind"))
   {
-    intensity.kind = IntensityModel::Kind::ATTENUATION;
-  }
-  else if (kind.text() != "counts")
-  {
-    kind.fail("counts or attenuation");
+    if (kind->text() != "counts" && kind->text() != "attenuation")
+    {
+      kind->fail("counts or attenuation");
+    }
+    intensity.kind = kind->text() == "counts" ? IntensityModel::Kind::COUNTS : IntensityModel::Kind::ATTENUATION;
   }
   if (const auto offset = field.find("offset"))
   {
@@ -217,9 +219,15 @@ const ProjectionGeometry& TreatmentSetup::detector(const std::string& name) cons
   throw std::invalid_argument("detector '" + name + "' is unknown: expected one of " + known);
 }
 
+YamlField detectorList(const YamlField& root, const std::string& path)
+{
+  const YamlField list = root.get("detectors");
+  return list.isScalar() ? YamlField::fromFile(resolvePath(list.text(), path)).get("detectors") : list;
+}
+
 std::vector<ProjectionGeometry> loadDetectors(const std::string& path)
 {
-  return readDetectors(YamlField::fromFile(path).get("detectors"));
+  return readDetectors(detectorList(YamlField::fromFile(path), path));
 }
 
 namespace
@@ -227,6 +235,8 @@ namespace
 /// @param path of the file, where relative paths start
 TreatmentSetup readTreatmentSetup(const YamlField& root, const std::string& path)
 {
+  root.refuseMisspelt({ "ct", "ct_content", "ct_series", "ct_nifti_form", "intensity", "detectors", "initial_pose",
+                        "target_box_mm", "target", "regions", "frames", "gold_standard", "pairing_tolerance" });
   TreatmentSetup setup;
   if (const auto ct = root.find("ct"))
   {
@@ -259,9 +269,7 @@ TreatmentSetup readTreatmentSetup(const YamlField& root, const std::string& path
   {
     setup.intensity = readIntensity(*intensity);
   }
-  const YamlField detectors = root.get("detectors");
-  setup.detectors =
-      detectors.isScalar() ? loadDetectors(resolvePath(detectors.text(), path)) : readDetectors(detectors);
+  setup.detectors = readDetectors(detectorList(root, path));
   setup.room_from_patient = readPose(root.get("initial_pose"));
   const auto target = root.find("target");
   setup.target_box = target ? readTarget(*target, path, setup) : readBox(root.get("target_box_mm"));

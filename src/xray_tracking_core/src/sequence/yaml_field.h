@@ -1,11 +1,15 @@
 #pragma once
 
+#include <algorithm>
 #include <cmath>
+#include <initializer_list>
 #include <optional>
+#include <set>
 #include <stdexcept>
 #include <string>
 #include <type_traits>
 #include <utility>
+#include <vector>
 
 #include <yaml-cpp/yaml.h>
 #include <Eigen/Core>
@@ -19,12 +23,12 @@ class YamlField
 public:
   static YamlField fromFile(const std::string& path)
   {
-    return rootOf(path, [&] { return YAML::LoadFile(path); });
+    return rootOf(path, [&] { return YAML::LoadAllFromFile(path); });
   }
   /// @param name what stands for the file in messages, and where relative paths start
   static YamlField fromText(const std::string& text, const std::string& name)
   {
-    return rootOf(name, [&] { return YAML::Load(text); });
+    return rootOf(name, [&] { return YAML::LoadAll(text); });
   }
 
   std::optional<YamlField> find(const std::string& key) const
@@ -125,17 +129,110 @@ public:
   /// File, line and key.
   std::string where() const { return file_ + ", line " + std::to_string(node_.Mark().line + 1) + ": " + key_; }
 
+  /// Refuses a key that is none of those that are known, but nearly: what it says would be left out without a word.
+  void refuseMisspelt(std::initializer_list<const char*> known) const
+  {
+    forEachEntry(
+        [&](const std::string& key, const YamlField& field)
+        {
+          for (const char* const name : known)
+          {
+            if (key == name)
+            {
+              return;
+            }
+          }
+          for (const char* const name : known)
+          {
+            if (isNearly(key, name))
+            {
+              throw std::runtime_error(field.where() + ": is none of the keys: did you mean " + name + "?");
+            }
+          }
+        });
+  }
+
 private:
+  static constexpr int kMostNodes = 1000000;  // aliases may stand for more than there is
+  static constexpr int kDeepest = 64;
+
+  /// A key that stands twice has two values, of which nobody knows which is meant.
+  void requireKeysOnce(int& left, int depth) const
+  {
+    if (--left < 0 || depth > kDeepest)
+    {
+      throw std::runtime_error(file_ + ": nested too deeply, or too large: expected a setup");
+    }
+    if (node_.IsSequence())
+    {
+      forEachItem([&](const YamlField& item) { item.requireKeysOnce(left, depth + 1); });
+    }
+    else if (node_.IsMap())
+    {
+      std::set<std::string> keys;
+      forEachEntry(
+          [&](const std::string& key, const YamlField& field)
+          {
+            if (key == "<<")
+            {
+              throw std::runtime_error(field.where() + ": merged keys are not read: expected them in full");
+            }
+            if (!keys.insert(key).second)
+            {
+              throw std::runtime_error(field.where() + " is there twice: expected each key once");
+            }
+            field.requireKeysOnce(left, depth + 1);
+          });
+    }
+  }
+
+  /// One letter in six or fewer is another, missing, too many or exchanged with its neighbour; two in more.
+  static bool isNearly(const std::string& key, const std::string& name)
+  {
+    const std::size_t most = name.size() > 6 ? 2 : 1;
+    if (name.size() < 4 || key.size() > name.size() + most || name.size() > key.size() + most)
+    {
+      return false;
+    }
+    std::vector<std::vector<std::size_t>> edits(key.size() + 1, std::vector<std::size_t>(name.size() + 1));
+    for (std::size_t i = 0; i <= key.size(); ++i)
+    {
+      for (std::size_t j = 0; j <= name.size(); ++j)
+      {
+        if (i == 0 || j == 0)
+        {
+          edits[i][j] = i + j;
+          continue;
+        }
+        edits[i][j] = std::min(
+            { edits[i - 1][j] + 1, edits[i][j - 1] + 1, edits[i - 1][j - 1] + (key[i - 1] == name[j - 1] ? 0 : 1) });
+        if (i > 1 && j > 1 && key[i - 1] == name[j - 2] && key[i - 2] == name[j - 1])
+        {
+          edits[i][j] = std::min(edits[i][j], edits[i - 2][j - 2] + 1);
+        }
+      }
+    }
+    return edits[key.size()][name.size()] <= most;
+  }
+
   template <typename Load>
   static YamlField rootOf(const std::string& name, Load load)
   {
     try
     {
-      const YamlField root(name, "", load());
+      const std::vector<YAML::Node> documents = load();
+      const YamlField root(name, "", documents.empty() ? YAML::Node() : documents.front());
       if (!root.node_.IsMap())
       {
         throw std::runtime_error(name + ": expected keys with values");
       }
+      if (documents.size() > 1)
+      {
+        throw std::runtime_error(name + ": has " + std::to_string(documents.size()) +
+                                 " documents, parted by ---: expected one");
+      }
+      int left = kMostNodes;
+      root.requireKeysOnce(left, 0);
       return root;
     }
     catch (const YAML::BadFile&)

@@ -147,12 +147,14 @@ private:
 
   [[noreturn]] void irregular(std::uint32_t tag, const std::string& what) const
   {
-    throw Found{ State::IRREGULAR, false, nameOf(tag) + " before byte " + std::to_string(position_) + " " + what };
+    throw Found{ in_meta_ ? State::UNSAFE : State::IRREGULAR, in_meta_,
+                 nameOf(tag) + " before byte " + std::to_string(position_) + " " + what };
   }
 
   /// @return the transfer syntax; empty if there is none
   std::string metaInformation()
   {
+    in_meta_ = true;
     std::string syntax;
     while (position_ < size_)
     {
@@ -177,6 +179,7 @@ private:
       }
       seek(element.start + element.length);
     }
+    in_meta_ = false;
     return syntax;
   }
 
@@ -219,7 +222,11 @@ private:
       readBytes(element.vr.data(), 2, 0);
       if (!isVr(element.vr))
       {
-        irregular(element.tag, "has no VR of the standard");
+        if (element.vr != std::string(2, '\0'))
+        {
+          throw Found{ State::UNSAFE, true, nameOf(element.tag) + " has no VR of the standard; export it again" };
+        }
+        irregular(element.tag, "has no VR");
       }
       if (isLong(element.vr))
       {
@@ -346,6 +353,7 @@ private:
   std::uint64_t size_ = 0;
   std::uint64_t position_ = 0;
   bool big_endian_ = false;
+  bool in_meta_ = false;  ///< in the meta information
 };
 }  // namespace
 

@@ -13,6 +13,7 @@ struct DicomExtent
   {
     WHOLE,      ///< every element and item ends where the file or what it is in says
     CUT,        ///< the file ends before one does, or sequences lie deeper than any real one's
+    UNSAFE,     ///< not to be given to GDCM: meta information that is none, a VR whose value it would take for a length
     NOT_TOLD,   ///< deflated, not readable, or not a DICOM file by its first bytes
     IRREGULAR,  ///< not as the standard has it, which GDCM may nevertheless read
   };

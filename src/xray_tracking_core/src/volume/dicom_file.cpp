@@ -166,7 +166,7 @@ std::optional<DicomHeader> readDicomHeader(const std::string& path)
     return std::nullopt;
   }
   const DicomExtent extent = dicomExtent(path);
-  const bool is_cut = extent.state == DicomExtent::State::CUT;
+  const bool is_cut = extent.state == DicomExtent::State::CUT || extent.state == DicomExtent::State::UNSAFE;
   if (is_cut && extent.before_pixels)
   {
     const auto nothing = std::make_shared<const gdcm::File>();
@@ -226,6 +226,16 @@ DicomPixels::DicomPixels(const std::string& path)
   std::size_t length = 0;
   if (isPlain(*file_))
   {
+    // GDCM leaves the bytes of these as they are.
+    const gdcm::TransferSyntax syntax = file_->GetHeader().GetDataSetTransferSyntax();
+    const bool is_swapped = syntax == gdcm::TransferSyntax::ImplicitVRBigEndianPrivateGE ||
+                            (syntax == gdcm::TransferSyntax::ExplicitVRBigEndian &&
+                             file_->GetDataSet().GetDataElement(kPixelData).GetVR() == gdcm::VR::OB);
+    if (allocated_ > 8 && is_swapped)
+    {
+      fail(path, std::string("TransferSyntaxUID (0002,0010) is ") + syntax.GetString() +
+                     ", whose pixels are big-endian bytes; export it as Explicit VR Little Endian");
+    }
     const gdcm::ByteValue* bytes = file_->GetDataSet().GetDataElement(kPixelData).GetByteValue();
     bytes_ = bytes != nullptr ? bytes->GetPointer() : nullptr;
     length = bytes != nullptr && bytes_ != nullptr ? static_cast<std::size_t>(bytes->GetLength()) : 0;

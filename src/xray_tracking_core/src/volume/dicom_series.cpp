@@ -73,6 +73,9 @@ const std::vector<std::pair<const char*, gdcm::Tag>> kTraits{
 
 /// Directions are written with few decimals.
 constexpr double kDirectionTolerance = 1e-3;
+// Of pixels, from micro-CT to a scout [mm].
+constexpr double kLeastSpacing = 0.01;
+constexpr double kMostSpacing = 20.0;
 /// Share of the slice distance by which a slice may be off its place, besides what its position is rounded by.
 constexpr double kPlaceTolerance = 0.05;
 /// Rounding allowed for is at most this share of the slice distance: a missing slice must show.
@@ -91,6 +94,7 @@ struct Slice
   Eigen::Vector3d position;     ///< of the first voxel's centre [mm]
   Eigen::Vector3i decimals;     ///< that the position is written with
   double slope = 1.0, intercept = 0.0;
+  bool has_rescale = false;
   std::string description;
   std::string frame_of_reference;
   std::vector<std::string> traits;  ///< in the order of kTraits; the last one is the orientation in words
@@ -235,8 +239,12 @@ void readRescale(const FrameData& data, Slice& slice)
   {
     failCt(slice.file, "RescaleType is " + type + ", expected HU");
   }
-  slice.slope = data.number(kSlope).value_or(1.0);
-  slice.intercept = data.number(kIntercept).value_or(0.0);
+  // Only what is not there at all has a default.
+  const auto read = [&data](const auto& tag, double absent)
+  { return data.at(tag).has(tag) ? data.number(tag).value_or(NAN) : absent; };
+  slice.slope = read(kSlope, 1.0);
+  slice.intercept = read(kIntercept, 0.0);
+  slice.has_rescale = data.at(kSlope).has(kSlope) || data.at(kIntercept).has(kIntercept);
   if (slice.slope == 0.0 || !std::isfinite(slice.slope) || !std::isfinite(slice.intercept))
   {
     failCt(slice.file, "RescaleSlope is \"" + data.text(kSlope) + "\", RescaleIntercept \"" + data.text(kIntercept) +
@@ -252,6 +260,16 @@ Slice readSlice(const FrameData& data, const std::string& file, int frame)
   slice.size.x() = static_cast<int>(data.vector<1>(kColumns, "Columns", file)[0]);
   slice.size.y() = static_cast<int>(data.vector<1>(kRows, "Rows", file)[0]);
   slice.spacing = data.vector<2>(kPixelSpacing, "PixelSpacing", file).reverse();
+  // Negated so that NaN fails, too.
+  if (!(slice.spacing.minCoeff() >= kLeastSpacing && slice.spacing.maxCoeff() <= kMostSpacing))
+  {
+    failCt(file, "PixelSpacing is " + data.text(kPixelSpacing) + ", expected mm between pixels, 0.01 to 20");
+  }
+  if (!(slice.size.minCoeff() >= 1))
+  {
+    failCt(file, "Columns and Rows are " + std::to_string(slice.size.x()) + " and " + std::to_string(slice.size.y()) +
+                     ", expected 1 or more");
+  }
   slice.position = data.vector<3>(kPosition, "ImagePositionPatient", file);
   slice.decimals = decimalsOf(data.text(kPosition));
   const auto orientation = data.vector<6>(kOrientation, "ImageOrientationPatient", file);
@@ -340,6 +358,12 @@ std::string whyNotSame(const std::vector<Slice>& slices)
     {
       message << "orientation is " << slice.x_direction.transpose() << ", " << slice.y_direction.transpose()
               << ", expected " << first.x_direction.transpose() << ", " << first.y_direction.transpose();
+    }
+    else if (slice.has_rescale != first.has_rescale)
+    {
+      message << (slice.has_rescale ? "has RescaleSlope or RescaleIntercept"
+                                    : "has no RescaleSlope and RescaleIntercept")
+              << ", expected the same";
     }
     if (!message.str().empty())
     {

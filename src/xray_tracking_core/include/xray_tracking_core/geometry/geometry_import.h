@@ -50,6 +50,8 @@ struct ImportedGeometry
 /// there is nothing of it.
 /// @param patient a room point of his [mm]
 std::string implausibility(const ProjectionGeometry& detector, const Eigen::Vector3d& patient);
+/// The same of the panel alone, where no point of the patient is known.
+std::string implausibility(const ProjectionGeometry& detector);
 
 /// Reads detectors from what other programs write, one or more files of one form, which is recognised: MayaCam 2.0, 3 x
 /// 4 projection matrices as text, RTK's ThreeDCircularProjectionGeometry, DICOM X-ray and RT images, or a YAML file
