@@ -52,11 +52,8 @@ Bodies::Bodies(const BodyModel& model, const Eigen::AlignedBox3d& target_box, do
   }
   // The rest is a nuisance, and most of the voxels: two millimetres do for it. Coarser, what its edges lack is taken
   // for a motion of the target.
-  ScalarVolume smooth = one ? model.target : model.rest;
-  if (smooth.grid.spacing().minCoeff() < kFineVoxel)
-  {
-    smooth = halved(smooth);
-  }
+  const ScalarVolume& whole = one ? model.target : model.rest;
+  ScalarVolume smooth = whole.grid.spacing().minCoeff() < kFineVoxel ? halved(whole) : whole;
   rest_ends = CtEnds(smooth);
   if (one)
   {

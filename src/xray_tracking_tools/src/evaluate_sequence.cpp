@@ -113,30 +113,27 @@ public:
   {
     if (!two_bodies_)
     {
-      const BodyModel bodies = bodiesOf(ct(), targetMaskOf(ct(), setup_.target_box));
+      const BodyModel bodies = bodiesInCt(true);
       target_ = std::make_unique<const ShearWarpRenderer>(bodies.target);
       two_bodies_ = std::make_shared<const Registration>(bodies, setup_.target_box);
     }
     return two_bodies_;
   }
-  BodyModel oneBody() { return bodiesOf(ct(), std::nullopt); }
+  BodyModel oneBody() { return bodiesInCt(false); }
 
   /// The target's DRRs; null if no method needed its bodies.
   const ShearWarpRenderer* target() const { return target_.get(); }
 
 private:
-  const PatientCt& ct()
+  /// The CT is not kept: with the models made of it a large one would take more than a machine has.
+  BodyModel bodiesInCt(bool two)
   {
-    if (!ct_)
-    {
-      std::cerr << "reading " << setup_.ct_path << std::endl;
-      ct_ = readPatientCt(setup_.ct_path, setup_.ct_content, setup_.ct_choice);
-    }
-    return *ct_;
+    std::cerr << "reading " << setup_.ct_path << std::endl;
+    const PatientCt ct = readPatientCt(setup_.ct_path, setup_.ct_content, setup_.ct_choice);
+    return bodiesOf(ct, two ? std::optional<TargetMask>(targetMaskOf(ct, setup_.target_box)) : std::nullopt);
   }
 
   const TreatmentSetup& setup_;
-  std::optional<PatientCt> ct_;
   std::shared_ptr<const Registration> two_bodies_;
   std::unique_ptr<const ShearWarpRenderer> target_;
 };

@@ -38,6 +38,10 @@ void crop(ScalarVolume& volume)
     volume = ScalarVolume();
     return;
   }
+  if (used.sizes() + Eigen::Vector3i::Ones() == grid.size)
+  {
+    return;
+  }
   VolumeGrid kept;
   kept.size = used.max() - used.min() + Eigen::Vector3i::Ones();
   kept.patient_from_index = grid.patient_from_index * Eigen::Translation3d(used.min().cast<double>());
@@ -50,8 +54,8 @@ void crop(ScalarVolume& volume)
     }
   }
   volume.grid = kept;
+  // What is left over is not given back: a copy would take more than that, and bodies do not live long.
   volume.values.resize(kept.voxelCount());
-  volume.values.shrink_to_fit();
 }
 }  // namespace
 

@@ -51,6 +51,7 @@ private:
   /// Loads a CT, or the phantom where the path is empty, and makes it the one in use. @return why it could not; empty
   /// if it could
   std::string load(const std::string& ct_path);
+  BodyModel readBodies(const std::string& ct_path) const;
   std::shared_ptr<const Registration> makeRegistration(const std::string& ct_path) const;
 
   /// Works on a request and publishes what came of it.

@@ -160,7 +160,7 @@ std::string RegistrationRos::load(const std::string& ct_path)
   return fault;
 }
 
-std::shared_ptr<const Registration> RegistrationRos::makeRegistration(const std::string& ct_path) const
+BodyModel RegistrationRos::readBodies(const std::string& ct_path) const
 {
   if (ct_path.empty() && parameters_.source == "ct")
   {
@@ -185,7 +185,14 @@ std::shared_ptr<const Registration> RegistrationRos::makeRegistration(const std:
       writeTargetMask(*mask, parameters_.mask_file);
     }
   }
-  return std::make_shared<const Registration>(bodiesOf(ct, mask), setup_.target_box, parameters_.options);
+  return bodiesOf(ct, mask);
+}
+
+std::shared_ptr<const Registration> RegistrationRos::makeRegistration(const std::string& ct_path) const
+{
+  // The CT is gone by then: a large one takes as much memory as its models.
+  const BodyModel bodies = readBodies(ct_path);
+  return std::make_shared<const Registration>(bodies, setup_.target_box, parameters_.options);
 }
 
 RegistrationRos::RefinementResult RegistrationRos::serve(const RefinementRequest& request, const Progress& progress,
