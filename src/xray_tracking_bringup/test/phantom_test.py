@@ -36,6 +36,12 @@ class PhantomTest(GraphTestCase):
             for name in DETECTORS:
                 self.assertEqual(self.regions[name][stamp].state, TrackedRegion.TRACKING)
 
+        # The launch file has a line for each of them.
+        published = dict(rospy.get_published_topics())
+        for name in DETECTORS:
+            for topic in ("tracked_region", "tracked_region_image", "region_residuals"):
+                self.assertIn(rospy.resolve_name(f"{name}/{topic}"), published)
+
 
 if __name__ == "__main__":
     rospy.init_node("phantom_test")
