@@ -231,6 +231,19 @@ TEST_F(TreatmentPlanTest, OnTheSameScan)
         requireOn(read({ beam }, { "HFS" }, { { { 0x20, 0x0052 }, { "UI", "1.2.3.99" } } }), structure, ct);
       },
       { "rp.dcm", "1.2.3.99", "the CT", kFrameUid + ":" });
+  // Frames of reference may be alike by mistake, patients may not; a file without an ID is nobody's.
+  folder_.write(
+      "rs.dcm",
+      structureSetFile({ { 1, "bone", { { circle(kIsocentre, 9.0, x, y) }, { circle(kIsocentre + z, 9.0, x, y) } } } },
+                       { { { 0x10, 0x0020 }, { "LO", "A1" } } }));
+  const Structure of_a = Structure::read({ folder_.path("rs.dcm"), "bone" });
+  requireOn(read({ beam }, { "HFS" }, { { { 0x10, 0x0020 }, { "LO", "A1" } } }), of_a, ct);
+  requireOn(read({ beam }, { "HFS" }, { { { 0x10, 0x0020 }, { "LO", "" } } }), of_a, ct);
+  expectError<std::runtime_error>(
+      [&] {
+        requireOn(read({ beam }, { "HFS" }, { { { 0x10, 0x0020 }, { "LO", "B2" } } }), of_a, ct);
+      },
+      { "rp.dcm", "PatientID (0010,0020)", "rs.dcm", "one patient" });
   // Plans without a frame of reference name the structure set.
   const auto old_plan = [&](const std::string& uid)
   {

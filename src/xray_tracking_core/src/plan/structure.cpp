@@ -67,6 +67,7 @@ Structure Structure::read(const StructureChoice& choice)
   structure.choice_ = choice;
   structure.uid_ = drawn.uid;
   structure.frame_of_reference_ = drawn.frame_of_reference;
+  structure.patient_id_ = drawn.patient_id;
   structure.setAxes(drawn.contours);
   structure.setPlanes(drawn.contours, drawn.slab_thickness);
   return structure;

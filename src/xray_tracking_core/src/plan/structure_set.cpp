@@ -10,6 +10,7 @@ namespace xray_tracking
 {
 namespace
 {
+const gdcm::Tag kPatientId(0x0010, 0x0020);
 const gdcm::Tag kSopInstance(0x0008, 0x0018);
 const gdcm::Tag kFrameOfReference(0x0020, 0x0052);
 const gdcm::Tag kReferencedFrames(0x3006, 0x0010);
@@ -160,6 +161,7 @@ DrawnStructure readDrawnStructure(const StructureChoice& choice)
   const std::string where = choice.file + ": ROI '" + choice.roi + "'";
   DrawnStructure structure;
   structure.uid = file.text(kSopInstance);
+  structure.patient_id = file.text(kPatientId);
   structure.frame_of_reference = roi.text(kReferencedFrame);
   if (const std::vector<DicomData> frames = file.items(kReferencedFrames);
       structure.frame_of_reference.empty() && frames.size() == 1)

@@ -19,6 +19,7 @@ struct DrawnContour
 struct DrawnStructure
 {
   std::string uid;                 ///< SOPInstanceUID of the structure set
+  std::string patient_id;          ///< PatientID; may be empty
   std::string frame_of_reference;  ///< FrameOfReferenceUID that the contours are in
   std::vector<DrawnContour> contours;
   double slab_thickness = 0.0;  ///< ContourSlabThickness [mm]; 0: not told

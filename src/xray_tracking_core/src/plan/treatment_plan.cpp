@@ -12,6 +12,7 @@ namespace xray_tracking
 namespace
 {
 const gdcm::Tag kInstance(0x0008, 0x1155);
+const gdcm::Tag kPatientId(0x0010, 0x0020);
 const gdcm::Tag kPatientPosition(0x0018, 0x5100);
 const gdcm::Tag kFrameOfReference(0x0020, 0x0052);
 const gdcm::Tag kBeams(0x300a, 0x00b0);
@@ -220,6 +221,7 @@ TreatmentPlan readTreatmentPlan(const std::string& path)
   TreatmentPlan plan;
   plan.file = path;
   plan.frame_of_reference = file.text(kFrameOfReference);
+  plan.patient_id = file.text(kPatientId);
   for (const DicomData& item : file.items(kStructureSets))
   {
     plan.structure_sets.push_back(item.text(kInstance));
@@ -288,6 +290,12 @@ RigidTransform roomFromPatient(const PlanBeam& beam)
 
 void requireOn(const TreatmentPlan& plan, const Structure& structure, const CtFrame& ct)
 {
+  // IDs themselves do not belong into logs.
+  if (!plan.patient_id.empty() && !structure.patientId().empty() && plan.patient_id != structure.patientId())
+  {
+    failRt(plan.file, "its PatientID (0010,0020) is not that of " + structure.choice().file +
+                          ", expected plan and structures of one patient");
+  }
   if (plan.frame_of_reference.empty())
   {
     if (std::find(plan.structure_sets.begin(), plan.structure_sets.end(), structure.uid()) == plan.structure_sets.end())

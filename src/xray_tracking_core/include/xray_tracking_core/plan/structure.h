@@ -34,6 +34,8 @@ public:
   const std::string& frameOfReference() const { return frame_of_reference_; }
   /// SOPInstanceUID of the structure set.
   const std::string& uid() const { return uid_; }
+  /// For comparison alone; may be empty.
+  const std::string& patientId() const { return patient_id_; }
 
   /// About the slabs of all planes, patient frame (LPS) [mm].
   Eigen::AlignedBox3d box() const;
@@ -65,6 +67,7 @@ private:
   StructureChoice choice_;
   std::string frame_of_reference_;
   std::string uid_;
+  std::string patient_id_;
   Eigen::Matrix3d plane_from_patient_;  ///< rows: two axes in the planes, their normal
   std::vector<Plane> planes_;           ///< by offset
 };

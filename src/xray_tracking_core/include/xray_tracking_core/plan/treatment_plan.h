@@ -31,6 +31,7 @@ struct TreatmentPlan
 {
   std::string file;
   std::string frame_of_reference;           ///< FrameOfReferenceUID; old plans have none
+  std::string patient_id;                   ///< for comparison alone; may be empty
   std::vector<std::string> structure_sets;  ///< SOPInstanceUID of those that it was made on
   std::vector<PlanBeam> beams;              ///< one or more
 };
@@ -48,7 +49,7 @@ const PlanBeam& chosenBeam(const TreatmentPlan& plan, const std::optional<int>& 
 /// Room from IEC 61217 fixed (room x, y, z = fixed Y, -X, Z), fixed from table top, table top from patient.
 RigidTransform roomFromPatient(const PlanBeam& beam);
 
-/// @throws std::runtime_error naming both if the plan is of another frame of reference than the CT; if it names none
-/// and was made on another structure set
+/// @throws std::runtime_error naming both if the plan is another patient's than the structure set, of another frame of
+/// reference than the CT; if it names none and was made on another structure set
 void requireOn(const TreatmentPlan& plan, const Structure& structure, const CtFrame& ct);
 }  // namespace xray_tracking
