@@ -242,11 +242,14 @@ std::vector<ImportedView> readMayaCam(const std::string& path, const std::string
   view.matrix << camera * rotation, camera * translation;
   view.matrix.leftCols<3>() /= options.unit.value_or(1.0);
   view.distortion = distortionOf(sections);
-  if (!view.distortion.model.empty())
+  // A negative focal length turns the axis.
+  if (camera(0, 0) < 0.0)
   {
-    // A negative focal length turns the axis, and the tangential coefficient that belongs to it.
-    view.distortion.values[3] *= camera(0, 0) < 0.0 ? -1.0 : 1.0;
-    view.distortion.values[2] *= camera(1, 1) < 0.0 ? -1.0 : 1.0;
+    turnTangential(view.distortion, 3);
+  }
+  if (camera(1, 1) < 0.0)
+  {
+    turnTangential(view.distortion, 2);
   }
   view.hint =
       "if the images are right: is the rotation that of a camera with y up and z backwards (OpenGL)? Then change the "

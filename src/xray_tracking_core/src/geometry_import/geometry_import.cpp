@@ -35,15 +35,6 @@ bool isPixelOf(const ImportedView& view, const Eigen::Vector3d& point)
   return pixel.allFinite() && (pixel >= -0.5).all() && (pixel <= view.image_size.cast<double>().array() - 0.5).all();
 }
 
-/// The tangential coefficient (p1: 2, p2: 3) of an image that was flipped along its axis.
-void turnTangential(DistortionCoefficients& distortion, std::size_t index)
-{
-  if (!distortion.model.empty())
-  {
-    distortion.values[index] = -distortion.values[index];
-  }
-}
-
 /// The images were turned after the file was written.
 void flip(ImportedView& view, const GeometryImportOptions& options)
 {

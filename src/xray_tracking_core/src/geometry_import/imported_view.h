@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstddef>
 #include <optional>
 #include <string>
 #include <utility>
@@ -28,6 +29,15 @@ struct ImportedView
   std::string flip;  ///< "rows" or "columns": what mends a left-handed panel of this form
   std::string hint;  ///< what else may be wrong if the panel is left-handed, or nothing fits
 };
+
+/// The tangential coefficient (p1: 2, p2: 3), if there is a distortion, where the axis that it belongs to is turned.
+inline void turnTangential(DistortionCoefficients& distortion, std::size_t index)
+{
+  if (!distortion.model.empty())
+  {
+    distortion.values[index] = -distortion.values[index];
+  }
+}
 
 /// The file has panel and source: its view.
 /// @param description may be left-handed @throws std::runtime_error if the source is in the panel's plane
