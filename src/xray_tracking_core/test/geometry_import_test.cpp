@@ -476,6 +476,20 @@ Eigen::Vector2d distorted(const TestCamera& camera, const std::vector<double>& d
            camera.camera(1, 1) * (y * radial + d[2] * (r2 + 2.0 * y * y) + 2.0 * d[3] * x * y) + camera.camera(1, 2) };
 }
 
+/// An image that grows along columns and rows.
+cv::Mat ramp(int along_columns, int along_rows)
+{
+  cv::Mat image(600, 800, CV_16UC1);
+  for (int row = 0; row < image.rows; ++row)
+  {
+    for (int column = 0; column < image.cols; ++column)
+    {
+      image.at<std::uint16_t>(row, column) = static_cast<std::uint16_t>(along_columns * column + along_rows * row);
+    }
+  }
+  return image;
+}
+
 TEST_F(GeometryImport, distortionIsCarriedAndFlippedWithTheImage)
 {
   const TestCamera a(20.0), b(110.0);
@@ -493,15 +507,7 @@ TEST_F(GeometryImport, distortionIsCarriedAndFlippedWithTheImage)
   for (const auto& [file, is_turned] : { std::make_pair(out, false), std::make_pair(turned_out, true) })
   {
     // A ramp in u, and one in v, of the distorted image: undone, a pixel has where it was.
-    cv::Mat u(600, 800, CV_16UC1), v(600, 800, CV_16UC1);
-    for (int row = 0; row < 600; ++row)
-    {
-      for (int column = 0; column < 800; ++column)
-      {
-        u.at<std::uint16_t>(row, column) = static_cast<std::uint16_t>(80 * column);
-        v.at<std::uint16_t>(row, column) = static_cast<std::uint16_t>(80 * row);
-      }
-    }
+    const cv::Mat u = ramp(80, 0), v = ramp(0, 80);
     const LensDistortion distortion = loadDistortions(file, loadDetectors(file)).front();
     const cv::Mat from_u = distortion.undo(u, IntensityModel::Kind::COUNTS);
     const cv::Mat from_v = distortion.undo(v, IntensityModel::Kind::COUNTS);
@@ -518,6 +524,29 @@ TEST_F(GeometryImport, distortionIsCarriedAndFlippedWithTheImage)
       EXPECT_NEAR(expected.x(), from_u.at<std::uint16_t>(pixel) / 80.0, 0.05) << pixel;
       EXPECT_NEAR(expected.y(), from_v.at<std::uint16_t>(pixel) / 80.0, 0.05) << pixel;
     }
+  }
+}
+/// Both focal lengths negative, and the axes with them, is the same camera; its tangential coefficients are of its
+/// axes.
+TEST_F(GeometryImport, distortionOfNegativeFocalLengths)
+{
+  TestCamera a(20.0);
+  a.camera.diagonal().head<2>() *= -1.0;
+  a.rotation.topRows<2>() *= -1.0;
+  a.translation.head<2>() *= -1.0;
+  const std::vector<double> d{ 0.9, -0.3, 0.04, -0.06 };
+  const std::string out = folder_.path("out.yaml");
+  writeDetectors(importGeometry({ write("a.txt", a.mayaCam() + "\ndistortion\n0.9,-0.3,0.04,-0.06\n"),
+                                  write("b.txt", TestCamera(110.0).mayaCam()) },
+                                withPitch()),
+                 out, "");
+  const cv::Mat u = ramp(80, 0), v = ramp(0, 80);
+  const LensDistortion distortion = loadDistortions(out, loadDetectors(out)).front();
+  for (const cv::Point& pixel : { cv::Point(100, 80), cv::Point(700, 500), cv::Point(150, 520) })
+  {
+    const Eigen::Vector2d expected = distorted(a, d, { pixel.x, pixel.y });
+    EXPECT_NEAR(expected.x(), distortion.undo(u, IntensityModel::Kind::COUNTS).at<std::uint16_t>(pixel) / 80.0, 0.05);
+    EXPECT_NEAR(expected.y(), distortion.undo(v, IntensityModel::Kind::COUNTS).at<std::uint16_t>(pixel) / 80.0, 0.05);
   }
 }
 
