@@ -11,6 +11,7 @@ import rospkg
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray
 import yaml
+from rosgraph_msgs.msg import Log
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
@@ -42,9 +43,11 @@ def target_registration_error_mm(estimate, gold, box_mm):
 class GraphTestCase(unittest.TestCase):
     """Collects what the graph says, by stamp."""
     detectors = DETECTORS
+    may_be_killed = False  # by the test itself; a node that dies by itself is a failure although it comes back
 
     @classmethod
     def setUpClass(cls):
+        cls.killed = []
         cls.lock = threading.Lock()
         cls.poses, cls.gold, cls.tf, cls.motions = {}, {}, {}, {}
         cls.regions = {name: {} for name in cls.detectors}
@@ -58,10 +61,20 @@ class GraphTestCase(unittest.TestCase):
             rospy.Subscriber("beam_gate", BeamGate, cls.gates.append, queue_size=1000),
             rospy.Subscriber("/tf", TFMessage, cls._tf, queue_size=1000),
             rospy.Subscriber("/diagnostics", DiagnosticArray, cls._diagnostics, queue_size=1000),
+            rospy.Subscriber("/rosout", Log, cls._log, queue_size=1000),
         ] + [
             rospy.Subscriber(f"{name}/tracked_region", TrackedRegion, cls._region, callback_args=name, queue_size=1000)
             for name in cls.detectors
         ]
+
+    def tearDown(self):
+        if not self.may_be_killed:
+            self.assertEqual(self.killed, [])
+
+    @classmethod
+    def _log(cls, message):
+        if "was killed" in message.msg:
+            cls.killed.append(message.msg)
 
     @classmethod
     def _pose(cls, message):
@@ -174,6 +187,12 @@ class GraphTestCase(unittest.TestCase):
             return wanted <= {(entry[4], entry[1]) for entry in entries if entry[2] == "o"}
 
         self.wait_for(ready, 60.0, f"{node} reaches {topics}")
+
+    @staticmethod
+    def process_of(node):
+        """Its number."""
+        server = xmlrpc.client.ServerProxy(rosgraph.Master(rospy.get_name()).lookupNode(node))
+        return server.getPid(rospy.get_name())[2]
 
     def start_simulator(self):
         start = rospy.ServiceProxy("detector_simulator/start", Trigger)

@@ -3,9 +3,7 @@
 import os
 import signal
 import sys
-import xmlrpc.client
 
-import rosgraph
 import rospy
 import rostest
 
@@ -21,8 +19,7 @@ class RegistrationKilledTest(GraphTestCase):
         self.start_simulator()
         self.wait_for(lambda: self.refinements("accepted") >= 3, 60.0, "refinements")
 
-        node = xmlrpc.client.ServerProxy(rosgraph.Master(rospy.get_name()).lookupNode("/registration"))
-        os.kill(node.getPid(rospy.get_name())[2], signal.SIGKILL)
+        os.kill(self.process_of("/registration"), signal.SIGKILL)
         answered, refused = len(self.motions), self.refinements("refused")
         self.wait_for(lambda: self.refinements("refused") > refused, 30.0, "a request that nobody answers")
         accepted = self.refinements("accepted")

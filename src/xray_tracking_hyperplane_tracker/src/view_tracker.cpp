@@ -55,6 +55,23 @@ void ViewTracker::startAnew()
   reference_stamp_ns_ = 0;
 }
 
+void ViewTracker::takeUp(const cv::Mat& image, std::int64_t stamp_ns, const cv::Rect& wanted)
+{
+  begin(stamp_ns, std::nullopt);
+  std::string fault = check_.look(image, stamp_ns);
+  if (fault.empty())
+  {
+    fault = train(image, wanted, false);
+  }
+  if (!fault.empty())
+  {
+    startAnew();
+    throw std::invalid_argument(fault);
+  }
+  tracker_.setLost();
+  wanted_region_ = wanted;
+}
+
 void ViewTracker::begin(std::int64_t stamp_ns, const std::optional<Training>& training)
 {
   was_found_ = answer_.found();

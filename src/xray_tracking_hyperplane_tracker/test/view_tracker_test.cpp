@@ -4,6 +4,7 @@
 
 #include <memory>
 #include <optional>
+#include <stdexcept>
 #include <string>
 
 #include <gtest/gtest.h>
@@ -226,6 +227,53 @@ TEST_F(ViewTrackerTest, anotherRunLearnsTheSameRegionAnew)
   tracker_.startAnew();
   expectTracked(show({ 5.0, 5.0 }), 3, kOther, { 0.0, 0.0 });
   expectTracked(show({ 6.0, 4.0 }), 3, kOther, { 1.0, -1.0 });
+}
+
+/// In the place of one that was killed.
+class TakenUpViewTrackerTest : public ViewTrackerTest
+{
+protected:
+  ViewTracker successor(const cv::Mat& image, const cv::Rect& wanted)
+  {
+    ViewTracker tracker(std::make_unique<HyperplaneTracker>(HyperplaneTrackerOptions(), kCounts), kCounts, 1,
+                        MotionModel::TRANSLATION, false, kRegion);
+    tracker.takeUp(image, 1, wanted);
+    return tracker;
+  }
+};
+
+TEST_F(TakenUpViewTrackerTest, motionGoesOnFromTheSameExposure)
+{
+  const cv::Mat first = exposeAt({ 0.0, 0.0 }, 100);
+  ViewTracker tracker = successor(first, kOther);
+  EXPECT_EQ(1, tracker.referenceStamp());
+  EXPECT_EQ(kOther, tracker.wantedRegion());
+  // Wherever the region has gone meanwhile.
+  for (const Eigen::Vector2d& place : { Eigen::Vector2d(12.0, -7.0), Eigen::Vector2d(13.0, -7.5) })
+  {
+    expectTracked(tracker.answer(exposeAt(place, ++seed_), ++stamp_ + 10), 1, kOther, place);
+  }
+}
+
+/// Before an exposure has shown it, the template is no evidence of anything.
+TEST_F(TakenUpViewTrackerTest, aTemplateThatIsNotThereIsNotTracked)
+{
+  ViewTracker tracker = successor(exposeAt({ 0.0, 0.0 }, 100), kRegion);
+  for (int i = 0; i < 3; ++i)
+  {
+    const ViewAnswer answer = tracker.answer(turned(++seed_), ++stamp_ + 10);
+    EXPECT_EQ(State::LOST, answer.state);
+    EXPECT_EQ(1, answer.reference_stamp_ns);
+  }
+  EXPECT_EQ(State::BLIND, tracker.answer(blind(), ++stamp_ + 10).state);
+  expectTracked(tracker.answer(exposeAt({ 2.0, 2.0 }, ++seed_), ++stamp_ + 10), 1, kRegion, { 2.0, 2.0 });
+}
+
+TEST_F(TakenUpViewTrackerTest, whatIsNoTemplateIsRefused)
+{
+  EXPECT_THROW(successor(blind(), kRegion), std::invalid_argument);
+  EXPECT_THROW(successor(exposeAt({ 0.0, 0.0 }, 100), cv::Rect(200, 55, 1000, 90)), std::invalid_argument);
+  EXPECT_THROW(successor(cv::Mat(), kRegion), std::invalid_argument);
 }
 }  // namespace
 }  // namespace xray_tracking

@@ -40,6 +40,12 @@ void BeamHold::operatorPresent(std::int64_t now)
   heard_ = now;
 }
 
+void BeamHold::takeUp(const std::string& why, bool heard, std::int64_t now)
+{
+  why_ = why;
+  heard_ = heard ? std::make_optional(now) : std::nullopt;
+}
+
 void BeamHold::tick(std::int64_t now)
 {
   if (!held() && silent(now))

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <iomanip>
 #include <sstream>
+#include <stdexcept>
 
 #include "xray_tracking_motion_estimation/asynchrony.h"
 #include "xray_tracking_motion_estimation/observability.h"
@@ -157,6 +158,37 @@ void ExposureEstimator::restart()
   rigid_consistency_.reset();
   doubts_.assign(doubts_.size(), {});
   first_unseen_.reset();
+}
+
+std::optional<MotionMemory> ExposureEstimator::memory() const
+{
+  if (references_.empty())
+  {
+    return std::nullopt;
+  }
+  MotionMemory memory;
+  memory.references = references_.references();
+  memory.reference = reference_;
+  memory.reference_covariance = reference_covariance_;
+  return memory;
+}
+
+void ExposureEstimator::takeUp(const MotionMemory& memory)
+{
+  if (memory.references.size() != options_.views.size())
+  {
+    throw std::invalid_argument("there are references of " + std::to_string(memory.references.size()) +
+                                " views, expected " + std::to_string(options_.views.size()));
+  }
+  estimator_->setReference(memory.reference, memory.reference_covariance);
+  reference_ = memory.reference;
+  reference_covariance_ = memory.reference_covariance;
+  last_pose_ = memory.last_pose;
+  consistency_.reset();
+  rigid_consistency_.reset();
+  references_.clear();
+  references_.takeUp(memory.references);
+  references_.add(memory.last_stamp, memory.last_pose);
 }
 
 std::optional<cv::Rect> ExposureEstimator::regionAt(std::size_t view, const RigidTransform& room_from_patient) const

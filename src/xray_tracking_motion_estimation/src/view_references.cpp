@@ -41,8 +41,10 @@ void ViewReferences::add(std::int64_t stamp, const RigidTransform& room_from_pat
 
 bool ViewReferences::find(std::size_t view, const TrackedView& tracked)
 {
-  std::optional<Reference>& reference = references_[view];
-  if (reference && reference->template_stamp == tracked.reference_stamp)
+  std::optional<ViewReference>& reference = references_[view];
+  // Another region of the same exposure is another template.
+  if (reference && reference->template_stamp == tracked.reference_stamp &&
+      (!reference->anchor || reference->anchor->centre == tracked.track.centre))
   {
     return true;
   }
@@ -51,21 +53,21 @@ bool ViewReferences::find(std::size_t view, const TrackedView& tracked)
   {
     return false;
   }
-  reference = Reference{ tracked.reference_stamp, tracked.region, pose->room_from_patient,
-                         pose->room_from_patient, std::nullopt,   pose->registered };
+  reference = ViewReference{ tracked.reference_stamp, tracked.region, pose->room_from_patient,
+                             pose->room_from_patient, std::nullopt,   pose->registered };
   return true;
 }
 
 ViewMeasurement ViewReferences::measurement(std::size_t view, const Track& track) const
 {
-  const Reference& reference = *references_[view];
+  const ViewReference& reference = *references_[view];
   return { reference.room_from_patient, reference.anchor ? track.since(*reference.anchor) : track };
 }
 
 void ViewReferences::anchor(std::size_t view, const TrackedView& tracked, const Track& track,
                             const RigidTransform& room_from_patient)
 {
-  std::optional<Reference>& reference = references_[view];
+  std::optional<ViewReference>& reference = references_[view];
   if ((reference && reference->template_stamp > tracked.reference_stamp) || !track.warp().allFinite() ||
       !track.covariance.allFinite() || !(track.linear.determinant() > 0.0))
   {
@@ -74,7 +76,7 @@ void ViewReferences::anchor(std::size_t view, const TrackedView& tracked, const 
   if (!reference || reference->template_stamp != tracked.reference_stamp)
   {
     // Learnt at a pose that is not known: about where it is now, less what it was tracked by.
-    reference = Reference{ tracked.reference_stamp, tracked.region, room_from_patient, {}, {}, true };
+    reference = ViewReference{ tracked.reference_stamp, tracked.region, room_from_patient, {}, {}, true };
     reference->region += cv::Point(cvRound(track.displacement.x()), cvRound(track.displacement.y()));
   }
   reference->room_from_patient = room_from_patient;
@@ -93,7 +95,7 @@ void ViewReferences::carry(const Refinement& refinement, const Eigen::Vector3d& 
   {
     history_.forgetTracked();
   }
-  for (std::optional<Reference>& reference : references_)
+  for (std::optional<ViewReference>& reference : references_)
   {
     if (!reference || reference->registered)
     {
@@ -116,7 +118,7 @@ std::optional<cv::Rect> ViewReferences::regionAt(std::size_t view, const Project
                                                  const RigidTransform& room_from_patient,
                                                  const Eigen::Vector3d& target_centre) const
 {
-  const std::optional<Reference>& reference = references_[view];
+  const std::optional<ViewReference>& reference = references_[view];
   if (!reference || reference->region.empty())
   {
     return std::nullopt;

@@ -30,6 +30,20 @@ TEST(BeamHoldTest, LastsUntilItIsReleased)
   EXPECT_FALSE(hold.held());
 }
 
+TEST(BeamHoldTest, GoesOnAfterARestartOfTheProcess)
+{
+  BeamHold hold{ BeamHoldOptions() };
+  hold.takeUp("held by an operator", false, kSecond);
+  hold.tick(1000 * kSecond);
+  EXPECT_EQ(hold.why(), "held by an operator");
+  EXPECT_EQ(hold.release(1000 * kSecond), "");
+  // A panel that was there before has to come again.
+  hold.takeUp("", true, 1000 * kSecond);
+  EXPECT_FALSE(hold.held());
+  hold.tick(1002 * kSecond);
+  EXPECT_TRUE(hold.held());
+}
+
 TEST(BeamHoldTest, NobodyIsMissedWhoWasNeverThere)
 {
   BeamHold hold{ BeamHoldOptions() };

@@ -36,6 +36,8 @@ public:
   void reset();
   bool trained() const { return tracker_->trained(); }
   cv::Rect region() const { return tracker_->region(); }
+  /// The region counts as lost: it has to be proven, wherever it is.
+  void setLost() { lost_ = true; }
   /// Whether the last track() did not find the region.
   bool lost() const { return lost_; }
   /// Where the region was last found [px], its size kept.

@@ -13,6 +13,7 @@
 
 #include <xray_tracking_msgs/TrackedRegion.h>
 
+#include "xray_tracking_conversions/restart_file.h"
 #include "xray_tracking_core/sequence/stamp_policy.h"
 #include "xray_tracking_hyperplane_tracker/bounded_queue.h"
 #include "xray_tracking_hyperplane_tracker/tracker_parameters.h"
@@ -68,6 +69,10 @@ private:
   void work();
   void configure();
   void makeTracker();
+  /// The template that a tracker before this one left behind, if it was killed.
+  void takeUp();
+  /// Keeps the template, if it is another one than is kept, for a tracker after this one.
+  void keep();
   void adoptSettings();
   void process(const Arrival& arrival);
   /// @return whether the exposure is to be answered; forgets the template when time jumps back
@@ -101,6 +106,8 @@ private:
   std::optional<ViewTracker> tracker_;       ///< none: the configuration is faulty
   HyperplaneTracker* hyperplane_ = nullptr;  ///< the tracker's, for its thresholds
   sensor_msgs::ImageConstPtr reference_;     ///< that the template was trained on
+  std::optional<RestartFile> restart_file_;  ///< none: nothing is kept
+  sensor_msgs::ImageConstPtr kept_;          ///< the reference in it
   ros::SteadyTime training_end_;
   StampPolicy stamps_;
   std::string logged_error_;

@@ -91,6 +91,12 @@ public:
   /// The next exposure is the first one, as of another run. The region to learn stays.
   void startAnew();
 
+  /// Takes up the template of another tracker of the same detector. It counts as lost: there is no track before an
+  /// exposure proves that it is there. With no template so far.
+  /// @param image, stamp_ns that it was learnt on; @param wanted its wantedRegion()
+  /// @throws std::invalid_argument as RegionTracker::train
+  void takeUp(const cv::Mat& image, std::int64_t stamp_ns, const cv::Rect& wanted);
+
   bool trained() const { return tracker_.trained(); }
   /// That a template is learnt of while there is none.
   const std::optional<cv::Rect>& wantedRegion() const { return wanted_region_; }

@@ -124,6 +124,7 @@ TrackerParameters readTrackerParameters(const ros::NodeHandle& pnh, const std::s
   parameters.train_timeout = reader.read("train_timeout", parameters.train_timeout);
   parameters.image_timeout = reader.read("image_timeout", parameters.image_timeout);
   parameters.overlay_points = reader.read("overlay_points", parameters.overlay_points);
+  parameters.keep_for_restart = reader.read("keep_for_restart", parameters.keep_for_restart);
   reader.warnOfUnread();
 
   tracker.model = modelNamed(model);

@@ -5,6 +5,7 @@
 #include <stdexcept>
 
 #include <cv_bridge/cv_bridge.h>
+#include <ros/serialization.h>
 #include <sensor_msgs/image_encodings.h>
 #include <xray_tracking_msgs/RegionResiduals.h>
 #include <boost/make_shared.hpp>
@@ -148,6 +149,11 @@ void TrackerWorker::work()
     process(*arrival);
   }
   requests_.close();
+  // Of a nodelet that is unloaded, as its loader has died, another one takes the place.
+  if (restart_file_ && !ros::ok())
+  {
+    restart_file_->remove();
+  }
 }
 
 void TrackerWorker::configure()
@@ -174,6 +180,7 @@ void TrackerWorker::configure()
       }
     }
     makeTracker();
+    takeUp();
   }
   catch (const std::exception& error)
   {
@@ -189,6 +196,80 @@ void TrackerWorker::makeTracker()
   hyperplane_ = hyperplane.get();
   tracker_.emplace(std::move(hyperplane), intensity_, parameters_.tracker.reduction, parameters_.tracker.model,
                    parameters_.model_by_data, parameters_.region);
+}
+
+void TrackerWorker::takeUp()
+{
+  if (!parameters_.keep_for_restart)
+  {
+    return;
+  }
+  try
+  {
+    restart_file_.emplace(ros::NodeHandle(name_), "template 1");
+  }
+  catch (const std::exception& error)
+  {
+    ROS_WARN_STREAM(name_ << " keeps no template for the case that it is killed: " << error.what());
+    return;
+  }
+  try
+  {
+    std::optional<std::string> bytes = restart_file_->read();
+    if (!bytes)
+    {
+      return;
+    }
+    ros::serialization::IStream stream(reinterpret_cast<std::uint8_t*>(bytes->data()),
+                                       static_cast<std::uint32_t>(bytes->size()));
+    sensor_msgs::RegionOfInterest wanted;
+    const auto image = boost::make_shared<sensor_msgs::Image>();
+    ros::serialization::deserialize(stream, wanted);
+    ros::serialization::deserialize(stream, *image);
+    const std::int64_t stamp = nanosecondsFromTime(image->header.stamp);
+    tracker_->takeUp(pixelsFromMsg(*image), stamp, rectFromRegionMsg(wanted));
+    // What is older than it is of another run.
+    stamps_.take(stamp, 0);
+    reference_ = kept_ = image;
+    ROS_WARN_STREAM(
+        name_ << " was killed and started again: it looks for the region that was learnt on the exposure of "
+              << image->header.stamp);
+  }
+  catch (const std::exception& error)
+  {
+    ROS_ERROR_STREAM(name_ << " was killed, cannot take up the template that it had, and learns another one: "
+                           << error.what());
+  }
+}
+
+void TrackerWorker::keep()
+{
+  if (!restart_file_ || reference_ == kept_)
+  {
+    return;
+  }
+  kept_ = reference_;
+  if (!reference_)
+  {
+    restart_file_->remove();
+    return;
+  }
+  try
+  {
+    const sensor_msgs::RegionOfInterest wanted =
+        regionMsgFromRect(tracker_->wantedRegion().value_or(tracker_->region()));
+    const std::uint32_t length =
+        ros::serialization::serializationLength(wanted) + ros::serialization::serializationLength(*reference_);
+    std::string bytes(length, '\0');
+    ros::serialization::OStream stream(reinterpret_cast<std::uint8_t*>(bytes.data()), length);
+    ros::serialization::serialize(stream, wanted);
+    ros::serialization::serialize(stream, *reference_);
+    restart_file_->write(bytes);
+  }
+  catch (const std::exception& error)
+  {
+    ROS_WARN_STREAM_THROTTLE(60.0, name_ << " keeps no template for the case that it is killed: " << error.what());
+  }
 }
 
 void TrackerWorker::adoptSettings()
@@ -273,6 +354,7 @@ void TrackerWorker::process(const Arrival& arrival)
   {
     finish(*request, image, pixels, answer);
   }
+  keep();
 }
 
 void TrackerWorker::publish(const Arrival& arrival, const ViewAnswer& answer, double cpu_seconds)

@@ -34,6 +34,12 @@ public:
   /// To be called often. @param now monotonic clock [ns]
   void tick(std::int64_t now);
 
+  /// Whether an operator's panel was ever heard.
+  bool operatorHeard() const { return heard_.has_value(); }
+  /// As it was before a restart. @param why empty: not held; @param heard whether an operator's panel was: it has to
+  /// come again; @param now monotonic clock [ns]
+  void takeUp(const std::string& why, bool heard, std::int64_t now);
+
   bool held() const { return !why_.empty(); }
   const std::string& why() const { return why_; }  ///< for people; empty if it is not held
 

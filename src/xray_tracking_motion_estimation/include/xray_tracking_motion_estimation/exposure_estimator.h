@@ -10,6 +10,7 @@
 #include "xray_tracking_core/geometry/projection_geometry.h"
 #include "xray_tracking_motion_estimation/consistency_monitor.h"
 #include "xray_tracking_motion_estimation/motion_estimator.h"
+#include "xray_tracking_motion_estimation/motion_memory.h"
 #include "xray_tracking_motion_estimation/refinement_policy.h"
 #include "xray_tracking_motion_estimation/tracked_view.h"
 #include "xray_tracking_motion_estimation/view_references.h"
@@ -71,6 +72,12 @@ public:
 
   /// As at first, but for the geometry.
   void restart();
+
+  /// What to go on with elsewhere, but for the last pose; nothing if no pose is known.
+  std::optional<MotionMemory> memory() const;
+  /// With a geometry; the same one. Templates that the memory does not know have no reference.
+  /// @throws std::invalid_argument if it is of another number of views, or its pose is of no use
+  void takeUp(const MotionMemory& memory);
 
   /// Whether no pose is known so far.
   bool empty() const { return references_.empty(); }

@@ -21,6 +21,7 @@
 #include <xray_tracking_msgs/TrackedRegion.h>
 #include <xray_tracking_msgs/TrainRegion.h>
 
+#include "xray_tracking_conversions/restart_file.h"
 #include "xray_tracking_conversions/service_caller.h"
 #include "xray_tracking_core/sequence/treatment_setup.h"
 #include "xray_tracking_motion_estimation/alignment_server.h"
@@ -28,6 +29,7 @@
 #include "xray_tracking_motion_estimation/exposure_assembler.h"
 #include "xray_tracking_motion_estimation/geometry_watch.h"
 #include "xray_tracking_motion_estimation/motion_estimation_parameters.h"
+#include "xray_tracking_motion_estimation/motion_memory.h"
 #include "xray_tracking_motion_estimation/motion_monitor.h"
 #include "xray_tracking_motion_estimation/motion_report.h"
 
@@ -71,9 +73,17 @@ private:
   void deadlineCb(const ros::SteadyTimerEvent& event);
   void reportCb(const ros::SteadyTimerEvent& event);
 
+  /// What a process before this one left behind, if it was killed.
+  void readRestartFile();
+  /// With the geometry. @param stamp of the first exposure [ns]
+  void takeUp(std::int64_t stamp);
+  /// Keeps what is known for a process after this one. @param wait until it is on the disk
+  void keep(bool wait);
+
   /// Gives the geometry to the monitor, or sees whether it is still the one that it has. @return what is wrong; empty
   /// if nothing is
-  std::string checkGeometry();
+  /// @param stamp of the exposure [ns]
+  std::string checkGeometry(std::int64_t stamp);
   void setSilent(std::size_t view, bool silent);
   /// Does what the monitor has decided.
   void settle();
@@ -98,6 +108,10 @@ private:
   std::optional<MotionMonitor> monitor_;
   MotionReport report_;
   BeamGate idle_gate_;  ///< of a node that cannot work
+
+  std::optional<RestartFile> restart_file_;  ///< none: nothing is kept
+  std::optional<RunMemory> before_;          ///< what was left behind, until it is taken up or cannot be
+  std::future<void> keeping_;
 
   ros::Time started_;      ///< this node; zero until a simulated clock has come
   ros::Time first_heard_;  ///< earliest exposure since the start; zero before

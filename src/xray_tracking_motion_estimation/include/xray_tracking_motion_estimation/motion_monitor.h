@@ -60,6 +60,15 @@ public:
   /// empty if it is taken to be there
   void restart(const std::string& doubt);
 
+  /// What to go on with in another process if this one is killed; nothing if no pose is known.
+  std::optional<MotionMemory> memory() const;
+
+  /// Goes on from what another one knew when it was killed. With the geometry, the same one, before the first exposure.
+  /// Nothing of it is verified: where a registration is asked it takes two in a row that are accepted; without one the
+  /// memory's own doubt, if there is one, goes on.
+  /// @throws std::invalid_argument if it cannot be, whereupon nothing is changed
+  void takeUp(const MotionMemory& memory);
+
   /// The next exposure is to be refined. @return false if registrations are never asked for
   bool demandRefinement() { return refinement_.demand(); }
 

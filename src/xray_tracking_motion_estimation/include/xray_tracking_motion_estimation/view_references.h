@@ -12,6 +12,17 @@
 
 namespace xray_tracking
 {
+/// What a view's tracks are relative to.
+struct ViewReference
+{
+  std::int64_t template_stamp = 0;   ///< of the exposure that the template was trained on [ns]
+  cv::Rect region;                   ///< the template's [px]
+  RigidTransform learnt_at;          ///< the pose at which it was learnt
+  RigidTransform room_from_patient;  ///< what tracks count from: `learnt_at`, or the anchor's
+  std::optional<Track> anchor;       ///< how the template was tracked there
+  bool registered = false;           ///< both poses are known from registrations, or were corrected by one
+};
+
 /// What the views' tracks are relative to: the pose of the exposure that a template was trained on, or of an exposure
 /// that was registered while the template was tracked (its anchor).
 class ViewReferences
@@ -49,18 +60,13 @@ public:
   std::optional<cv::Rect> regionAt(std::size_t view, const ProjectionGeometry& geometry,
                                    const RigidTransform& room_from_patient, const Eigen::Vector3d& target_centre) const;
 
-private:
-  struct Reference
-  {
-    std::int64_t template_stamp;
-    cv::Rect region;                   ///< the template's
-    RigidTransform learnt_at;          ///< the pose at which it was learnt
-    RigidTransform room_from_patient;  ///< what tracks count from: `learnt_at`, or the anchor's
-    std::optional<Track> anchor;       ///< how the template was tracked there
-    bool registered;                   ///< both poses are known from registrations, or were corrected by one
-  };
+  /// One a view; nothing of one that has had no template whose pose is known.
+  const std::vector<std::optional<ViewReference>>& references() const { return references_; }
+  /// As another's were, one a view.
+  void takeUp(const std::vector<std::optional<ViewReference>>& references) { references_ = references; }
 
+private:
   PoseHistory history_;
-  std::vector<std::optional<Reference>> references_;
+  std::vector<std::optional<ViewReference>> references_;
 };
 }  // namespace xray_tracking

@@ -68,6 +68,7 @@ MotionEstimationParameters readMotionEstimationParameters(const ros::NodeHandle&
   own.read("min_view_angle", estimation.min_view_angle);
   own.read("queue_size", parameters.queue_size);
   own.read("view_timeout", parameters.view_timeout);
+  own.read("keep_for_restart", parameters.keep_for_restart);
   own.read("pairing_tolerance", tracks.pairing_tolerance);
   own.read("target_speed", tracks.target_speed);
 

@@ -103,6 +103,18 @@ MotionEstimationRos::~MotionEstimationRos()
     }
   }
   deadline_timer_.stop();
+  if (restart_file_)
+  {
+    if (keeping_.valid())
+    {
+      keeping_.wait();
+    }
+    // Of a nodelet that is unloaded, as its loader has died, another one takes the place.
+    if (!ros::ok())
+    {
+      restart_file_->remove();
+    }
+  }
 }
 
 void MotionEstimationRos::start()
@@ -117,6 +129,10 @@ void MotionEstimationRos::start()
                       [setup = setup_, bone = parameters_.bone_shape]
                       { return bone ? boneShape(setup) : TargetShape::isotropic(setup.targetCentre()); });
   monitor_.emplace(parameters_.monitor, setup_.room_from_patient, setup_.targetCentre());
+  if (parameters_.keep_for_restart)
+  {
+    readRestartFile();
+  }
   motion_publisher_ = nh_.advertise<PatientMotion>("patient_motion", 100);
   pose_publisher_ = nh_.advertise<geometry_msgs::PoseWithCovarianceStamped>("patient_pose", 100);
   prediction_publisher_ = nh_.advertise<geometry_msgs::PoseWithCovarianceStamped>("predicted_pose", 100);
@@ -252,7 +268,7 @@ void MotionEstimationRos::trackedRegionCb(const TrackedRegion::ConstPtr& message
   // In the order of their weight: views that have no template yet are no fault of the geometry.
   if (exposure.fault == MotionState::OK)
   {
-    exposure.text = checkGeometry();
+    exposure.text = checkGeometry(exposure.stamp);
     exposure.fault = exposure.text.empty() ? MotionState::OK : MotionState::WAITING;
   }
   exposure.cpu_seconds += stopwatch.cpuSeconds();
@@ -261,7 +277,7 @@ void MotionEstimationRos::trackedRegionCb(const TrackedRegion::ConstPtr& message
   settle();
 }
 
-std::string MotionEstimationRos::checkGeometry()
+std::string MotionEstimationRos::checkGeometry(std::int64_t stamp)
 {
   const std::string fault = geometry_->check();
   if (!fault.empty() || has_geometry_)
@@ -277,6 +293,7 @@ std::string MotionEstimationRos::checkGeometry()
     monitor_->tracks().setGeometry(geometry_->geometries(), shape_.get());
     geometry_->accept();
     has_geometry_ = true;
+    takeUp(stamp);
   }
   catch (const std::exception& error)  // of a geometry that is none, or of a CT
   {
@@ -420,6 +437,7 @@ bool MotionEstimationRos::restartCb(std_srvs::Trigger::Request&, std_srvs::Trigg
   first_heard_ = ros::Time();
   monitor_->restart("");
   settle();
+  keep(true);
   response.success = 1;
   response.message = "the next exposures count from the setup's initial pose";
   return true;
@@ -436,6 +454,7 @@ bool MotionEstimationRos::holdBeamCb(std_srvs::SetBool::Request& request, std_sr
     response.message = monitor_->beamHold().release(steadyNanoseconds());
   }
   publishGate();
+  keep(true);
   response.success = static_cast<std::uint8_t>(response.message.empty());
   if (response.message.empty())
   {
@@ -486,6 +505,7 @@ void MotionEstimationRos::reportCb(const ros::SteadyTimerEvent&)
   if (configuration_fault_.empty())
   {
     report_.log(*monitor_, viewReports(), assemblyCounts());
+    keep(false);
   }
   updater_.force_update();
 }

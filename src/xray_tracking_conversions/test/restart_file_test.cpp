@@ -1,0 +1,133 @@
+#include "xray_tracking_conversions/restart_file.h"
+
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <filesystem>
+#include <fstream>
+#include <iterator>
+#include <random>
+#include <stdexcept>
+
+#include <gtest/gtest.h>
+
+namespace xray_tracking
+{
+namespace
+{
+namespace fs = std::filesystem;
+
+class RestartFileTest : public testing::Test
+{
+protected:
+  RestartFileTest()
+  {
+    folder_ = fs::temp_directory_path() / ("restart_file_test_" + std::to_string(::getpid()));
+    fs::create_directories(folder_);
+    file = std::make_unique<RestartFile>((folder_ / "below" / "node").string(), "motion 1", "run");
+  }
+  ~RestartFileTest() override { fs::remove_all(folder_); }
+
+  std::string raw() const
+  {
+    std::ifstream in(file->path(), std::ios::binary);
+    return { std::istreambuf_iterator<char>(in), std::istreambuf_iterator<char>() };
+  }
+  void setRaw(const std::string& bytes) const { std::ofstream(file->path(), std::ios::binary) << bytes; }
+
+  RestartFile other(const std::string& content, const std::string& run) const { return { file->path(), content, run }; }
+
+  fs::path folder_;
+  std::unique_ptr<RestartFile> file;
+};
+
+TEST_F(RestartFileTest, GivesBackWhatWasWritten)
+{
+  EXPECT_EQ(file->read(), std::nullopt);
+  const std::string bytes("with\0zeros\tand\nlines", 20);
+  for (const std::string& written : { bytes, std::string(), std::string(3000000, 'x') })
+  {
+    file->write(written);
+    EXPECT_EQ(file->read(), written);
+  }
+  EXPECT_EQ(std::distance(fs::directory_iterator(folder_ / "below"), fs::directory_iterator()), 1) << "partial files";
+  file->remove();
+  file->remove();
+  EXPECT_EQ(file->read(), std::nullopt);
+}
+
+TEST_F(RestartFileTest, IsForTheUsersEyesAlone)
+{
+  file->write("pixels");
+  struct stat status;
+  ASSERT_EQ(::stat(file->path().c_str(), &status), 0);
+  EXPECT_EQ(status.st_mode & 0777, 0600);
+}
+
+TEST_F(RestartFileTest, WhatIsOfAnotherRunIsNotThere)
+{
+  file->write("pose");
+  EXPECT_EQ(other("motion 1", "another run").read(), std::nullopt);
+}
+
+TEST_F(RestartFileTest, WhatIsOfAnotherKindOrVersionIsRefused)
+{
+  file->write("pose");
+  EXPECT_THROW(other("motion 2", "run").read(), std::runtime_error);
+  EXPECT_THROW(other("template 1", "run").read(), std::runtime_error);
+}
+
+/// Every bit of it counts: no single altered byte and no cut is taken for what was written.
+TEST_F(RestartFileTest, DamageIsFound)
+{
+  file->write("the pose of the patient, 1.25 mm and so on");
+  const std::string good = raw();
+  std::mt19937 random(7);
+  for (std::size_t i = 0; i < good.size(); ++i)
+  {
+    std::string bad = good;
+    bad[i] = static_cast<char>(bad[i] ^ (1 + random() % 255));
+    setRaw(bad);
+    try
+    {
+      EXPECT_EQ(file->read(), std::nullopt) << "byte " << i;  // of what looks like another run
+    }
+    catch (const std::runtime_error& error)
+    {
+      EXPECT_NE(std::string(error.what()).find(file->path()), std::string::npos);
+    }
+    setRaw(good.substr(0, i));
+    EXPECT_THROW(file->read(), std::runtime_error) << "cut at " << i;
+  }
+  setRaw(good + "x");
+  EXPECT_THROW(file->read(), std::runtime_error);
+}
+
+TEST_F(RestartFileTest, WhatIsNoFileIsRefused)
+{
+  file->write("");
+  file->remove();
+  fs::create_directory(file->path());
+  EXPECT_THROW(file->read(), std::runtime_error);
+  fs::remove(file->path());
+  ASSERT_EQ(::mkfifo(file->path().c_str(), 0600), 0);
+  EXPECT_THROW(file->read(), std::runtime_error);
+}
+
+TEST_F(RestartFileTest, WhereNothingCanBeWrittenItSaysSo)
+{
+  std::ofstream(folder_ / "in_the_way") << "x";
+  const RestartFile blocked((folder_ / "in_the_way" / "node").string(), "motion 1", "run");
+  try
+  {
+    blocked.write("pose");
+    ADD_FAILURE();
+  }
+  catch (const std::runtime_error& error)
+  {
+    EXPECT_NE(std::string(error.what()).find("in_the_way"), std::string::npos) << error.what();
+  }
+  EXPECT_THROW(RestartFile("/path", "motion 1", "two\nlines"), std::runtime_error);
+}
+}  // namespace
+}  // namespace xray_tracking
