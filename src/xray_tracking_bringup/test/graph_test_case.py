@@ -11,7 +11,6 @@ import rospkg
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray
 import yaml
-from rosgraph_msgs.msg import Log
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
@@ -43,11 +42,11 @@ def target_registration_error_mm(estimate, gold, box_mm):
 class GraphTestCase(unittest.TestCase):
     """Collects what the graph says, by stamp."""
     detectors = DETECTORS
-    may_be_killed = False  # by the test itself; a node that dies by itself is a failure although it comes back
+    kills = False  # nodes; one that dies by itself is a failure although it comes back
 
     @classmethod
     def setUpClass(cls):
-        cls.killed = []
+        cls.processes = {}  # node -> number, once the graph was there
         cls.lock = threading.Lock()
         cls.poses, cls.gold, cls.tf, cls.motions = {}, {}, {}, {}
         cls.regions = {name: {} for name in cls.detectors}
@@ -61,20 +60,14 @@ class GraphTestCase(unittest.TestCase):
             rospy.Subscriber("beam_gate", BeamGate, cls.gates.append, queue_size=1000),
             rospy.Subscriber("/tf", TFMessage, cls._tf, queue_size=1000),
             rospy.Subscriber("/diagnostics", DiagnosticArray, cls._diagnostics, queue_size=1000),
-            rospy.Subscriber("/rosout", Log, cls._log, queue_size=1000),
         ] + [
             rospy.Subscriber(f"{name}/tracked_region", TrackedRegion, cls._region, callback_args=name, queue_size=1000)
             for name in cls.detectors
         ]
 
     def tearDown(self):
-        if not self.may_be_killed:
-            self.assertEqual(self.killed, [])
-
-    @classmethod
-    def _log(cls, message):
-        if "was killed" in message.msg:
-            cls.killed.append(message.msg)
+        if not self.kills:
+            self.assertEqual({name: self.process_of(name) for name in self.processes}, self.processes)
 
     @classmethod
     def _pose(cls, message):
@@ -172,6 +165,8 @@ class GraphTestCase(unittest.TestCase):
             topics[name(f"{detector}/camera_info")] = [estimation]
             topics[name(f"{detector}/tracked_region")] = [estimation, me]
         self.wait_for_subscribers(topics)
+        self.processes.update((node, self.process_of(node)) for node in map(name, (
+            "motion_estimation", "xray_nodelets", "treatment_room_publisher")))
 
     def wait_for_listeners(self, node, topics):
         """Until messages of `node` reach, over a connection that stands, whom they must; topics as above."""

@@ -13,6 +13,8 @@ from xray_tracking_msgs.msg import PatientMotion  # noqa: E402
 
 
 class RegistrationKilledTest(GraphTestCase):
+    kills = True
+
     def test_tracking_goes_on(self):
         self.wait_for_graph()
         self.wait_for_subscribers({f"/{name}/image_raw": ["/registration"] for name in DETECTORS})

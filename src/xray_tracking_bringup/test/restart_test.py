@@ -1,14 +1,16 @@
 #!/usr/bin/python3
-"""Trackers, then motion estimation, are killed: they go on from the same references, and nothing wrong is published."""
+"""Motion estimation and trackers are killed: they go on from the same references, and nothing wrong is published. Where
+what they have kept is gone they say so: no pose, and the beam is held."""
 import os
 import signal
 import sys
+import time
 
 import rospkg
 import rospy
 import rostest
 import yaml
-from std_srvs.srv import SetBool
+from std_srvs.srv import SetBool, Trigger
 from xray_tracking_msgs.msg import BeamGate
 
 sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
@@ -19,7 +21,7 @@ LARGEST_ERROR = 0.2
 
 
 class RestartTest(GraphTestCase):
-    may_be_killed = True
+    kills = True
 
     def wait_for_open_gate(self, since):
         self.wait_for(lambda: len(self.gates) > since and self.gates[-1].open, 60.0, "the gate opens")
@@ -59,6 +61,26 @@ class RestartTest(GraphTestCase):
         setup_path = os.path.join(rospkg.RosPack().get_path("xray_tracking_core"), "config", "phantom_neck.yaml")
         with open(setup_path, encoding="utf-8") as file:
             box = yaml.safe_load(file)["target_box_mm"]
+        # Both, and nothing of what they have kept.
+        seen = self.kill("/motion_estimation")
+        self.kill("/xray_nodelets")
+        folder = os.path.join(os.environ.get("ROS_HOME") or os.path.expanduser("~/.ros"), "xray_tracking", "restart")
+        kept = [os.path.join(folder, name) for name in ("motion_estimation", "detector_a_hyperplane_tracker")]
+        for path in kept:
+            os.remove(path)
+        time.sleep(0.5)
+        answered, posed = len(self.motions), len(self.poses)
+        self.wait_for(lambda: len(self.motions) >= answered + 10, 60.0, "answers of the new processes")
+        self.assertEqual(len(self.poses), posed)
+        self.assertEqual({gate.reason for gate in self.gates[seen + 1:] if not gate.open}, {BeamGate.HELD})
+        self.assertIn("has died", list(self.motions.values())[-1].reason)
+        self.assertTrue(hold(False).success)
+        self.assertTrue(rospy.ServiceProxy("motion_estimation/restart", Trigger)().success)
+        self.wait_for(lambda: len(self.poses) >= posed + 3, 60.0, "poses after somebody has stated where the patient is")
+        with self.lock:
+            for stamp in sorted(self.poses)[posed:]:
+                del self.poses[stamp]  # the patient was elsewhere: it is the statement that is wrong
+
         with self.lock:
             errors = [target_registration_error_mm(self.poses[stamp], self.gold[stamp], (box["min"], box["max"]))
                       for stamp in set(self.poses) & set(self.gold)]

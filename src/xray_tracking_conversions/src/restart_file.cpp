@@ -11,11 +11,11 @@
 #include <filesystem>
 #include <fstream>
 #include <iterator>
+#include <random>
 #include <sstream>
 #include <stdexcept>
 #include <utility>
 
-#include <ros/param.h>
 #include <boost/crc.hpp>
 
 namespace xray_tracking
@@ -24,48 +24,36 @@ namespace
 {
 namespace fs = std::filesystem;
 
-/// The first line: this, the content, the run, the length of what follows [bytes] and its CRC-32, between tabulators.
+/// The first line: this, the content, the token, and the CRC-32 of these and what follows, between tabulators.
 constexpr const char* kMagic = "xray_tracking restart file";
 constexpr std::size_t kLongestHeader = 1000;
 /// No image is larger [bytes].
 constexpr std::uintmax_t kLargest = std::uintmax_t{ 1 } << 30;
 
-std::uint32_t crc32(const std::string& bytes)
+std::string checksum(const std::string& head, const std::string& bytes)
 {
   boost::crc_32_type crc;
+  crc.process_bytes(head.data(), head.size());
   crc.process_bytes(bytes.data(), bytes.size());
-  return crc.checksum();
+  return std::to_string(crc.checksum());
 }
 
-std::string homeOfRos()
-{
-  if (const char* home = std::getenv("ROS_HOME"); home != nullptr && *home != '\0')
-  {
-    return home;
-  }
-  const char* home = std::getenv("HOME");
-  if (home == nullptr || *home == '\0')
-  {
-    throw std::runtime_error("neither ROS_HOME nor HOME is set, expected a folder to keep a restart file in");
-  }
-  return std::string(home) + "/.ros";
-}
-
+/// Empty without ROS_HOME and HOME.
 std::string pathOf(const ros::NodeHandle& pnh)
 {
+  const auto variable = [](const char* name)
+  {
+    const char* value = std::getenv(name);
+    return std::string(value == nullptr ? "" : value);
+  };
+  std::string folder = variable("ROS_HOME");
+  if (folder.empty() && !variable("HOME").empty())
+  {
+    folder = variable("HOME") + "/.ros";
+  }
   std::string name = pnh.getNamespace().substr(1);
   std::replace(name.begin(), name.end(), '/', '-');
-  return homeOfRos() + "/xray_tracking/restart/" + name;
-}
-
-std::string runOfMaster()
-{
-  std::string run;
-  if (!ros::param::get("/run_id", run) || run.empty())
-  {
-    throw std::runtime_error("the parameter /run_id is not set, expected the one that roscore and roslaunch set");
-  }
-  return run;
+  return folder.empty() ? folder : folder + "/xray_tracking/restart/" + name;
 }
 
 std::string errorText(const std::string& path, const std::string& what)
@@ -75,32 +63,35 @@ std::string errorText(const std::string& path, const std::string& what)
 }  // namespace
 
 RestartFile::RestartFile(const ros::NodeHandle& pnh, const std::string& content)
-  : RestartFile(pathOf(pnh), content, runOfMaster())
+  : RestartFile(pathOf(pnh), content, "", false)
 {
-}
-
-RestartFile::RestartFile(std::string path, std::string content, std::string run)
-  : path_(std::move(path)), content_(std::move(content)), run_(std::move(run))
-{
-  const auto in_a_line = [](char c) { return c >= ' '; };
-  if (!std::all_of(run_.begin(), run_.end(), in_a_line) || run_.size() > kLongestHeader / 2)
+  succeeds_ = pnh.getParam(kToken, token_);
+  if (!succeeds_)
   {
-    throw std::runtime_error("the parameter /run_id is '" + run_ + "', expected a short line of text");
+    std::random_device random;
+    token_ = std::to_string(random()) + "-" + std::to_string(random()) + "-" + std::to_string(random());
+    pnh.setParam(kToken, token_);
+    remove();
   }
 }
 
-std::optional<std::string> RestartFile::read() const
+RestartFile::RestartFile(std::string path, std::string content, std::string token, bool succeeds)
+  : path_(std::move(path)), content_(std::move(content)), token_(std::move(token)), succeeds_(succeeds)
 {
-  std::error_code none;
-  if (!fs::exists(path_, none))
-  {
-    return std::nullopt;
-  }
+}
+
+std::string RestartFile::read() const
+{
   const auto refuse = [&](const std::string& why) { throw std::runtime_error(path_ + " " + why); };
   // A pipe would be waited for, for ever.
-  if (!fs::is_regular_file(path_) || fs::file_size(path_) > kLargest)
+  std::error_code error;
+  if (!fs::is_regular_file(path_, error))
   {
-    refuse("is no file, or one of more than " + std::to_string(kLargest) + " bytes, expected a restart file");
+    refuse("is no file, expected what the node kept for this case");
+  }
+  if (fs::file_size(path_) > kLargest)
+  {
+    refuse("has more than " + std::to_string(kLargest) + " bytes, expected a restart file");
   }
   std::ifstream file(path_, std::ios::binary);
   const std::string all{ std::istreambuf_iterator<char>(file), std::istreambuf_iterator<char>() };
@@ -110,40 +101,53 @@ std::optional<std::string> RestartFile::read() const
     refuse("cannot be read, or does not begin with a line, expected a restart file");
   }
   std::istringstream line(all.substr(0, line_end));
-  std::string magic, content, run, length, crc;
+  std::string magic, content, token, crc;
   std::getline(line, magic, '\t');
   std::getline(line, content, '\t');
-  std::getline(line, run, '\t');
-  std::getline(line, length, '\t');
+  std::getline(line, token, '\t');
   std::getline(line, crc);
-  if (magic != kMagic)
+  std::string bytes = all.substr(line_end + 1);
+  const std::string expected = checksum(magic + '\t' + content + '\t' + token, bytes);
+  if (magic != kMagic || crc != expected)
   {
-    refuse("begins with '" + magic.substr(0, 60) + "', expected '" + kMagic + "'");
+    refuse("is damaged: its CRC-32 is " + expected + ", expected '" + crc + "'");
   }
-  if (run != run_)
+  if (token != token_)
   {
-    return std::nullopt;
+    refuse("is of another launch");
   }
   if (content != content_)
   {
-    refuse("has '" + content.substr(0, 60) + "', expected '" + content_ + "'");
-  }
-  std::string bytes = all.substr(line_end + 1);
-  if (length != std::to_string(bytes.size()))
-  {
-    refuse("has " + std::to_string(bytes.size()) + " bytes, expected '" + length + "'");
-  }
-  if (crc != std::to_string(crc32(bytes)))
-  {
-    refuse("is damaged: its CRC-32 is " + std::to_string(crc32(bytes)) + ", expected '" + crc + "'");
+    refuse("has '" + content + "', expected '" + content_ + "'");
   }
   return bytes;
 }
 
 void RestartFile::write(const std::string& bytes) const
 {
-  const std::string header = std::string(kMagic) + '\t' + content_ + '\t' + run_ + '\t' + std::to_string(bytes.size()) +
-                             '\t' + std::to_string(crc32(bytes)) + '\n';
+  try
+  {
+    replace(bytes);
+  }
+  catch (const std::runtime_error&)
+  {
+    // Needs no room on a disk that is full.
+    if (::truncate(path_.c_str(), 0) != 0)
+    {
+      remove();
+    }
+    throw;
+  }
+}
+
+void RestartFile::replace(const std::string& bytes) const
+{
+  if (path_.empty())
+  {
+    throw std::runtime_error("neither ROS_HOME nor HOME is set, expected a folder to keep a restart file in");
+  }
+  const std::string head = std::string(kMagic) + '\t' + content_ + '\t' + token_;
+  const std::string all = head + '\t' + checksum(head, bytes) + '\n' + bytes;
   std::error_code error;
   fs::create_directories(fs::path(path_).parent_path(), error);
   const std::string partial = path_ + ".partial";
@@ -154,7 +158,6 @@ void RestartFile::write(const std::string& bytes) const
   {
     throw std::runtime_error(errorText(partial, "cannot be made"));
   }
-  const std::string all = header + bytes;
   std::size_t written = 0;
   while (written < all.size())
   {

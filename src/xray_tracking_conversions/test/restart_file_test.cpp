@@ -1,11 +1,14 @@
 #include "xray_tracking_conversions/restart_file.h"
 
+#include <sys/resource.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include <csignal>
 #include <filesystem>
 #include <fstream>
 #include <iterator>
+#include <memory>
 #include <random>
 #include <stdexcept>
 
@@ -24,7 +27,7 @@ protected:
   {
     folder_ = fs::temp_directory_path() / ("restart_file_test_" + std::to_string(::getpid()));
     fs::create_directories(folder_);
-    file = std::make_unique<RestartFile>((folder_ / "below" / "node").string(), "motion 1", "run");
+    file = std::make_unique<RestartFile>((folder_ / "below" / "node").string(), "motion 1", "token", true);
   }
   ~RestartFileTest() override { fs::remove_all(folder_); }
 
@@ -35,7 +38,10 @@ protected:
   }
   void setRaw(const std::string& bytes) const { std::ofstream(file->path(), std::ios::binary) << bytes; }
 
-  RestartFile other(const std::string& content, const std::string& run) const { return { file->path(), content, run }; }
+  RestartFile other(const std::string& content, const std::string& token) const
+  {
+    return { file->path(), content, token, true };
+  }
 
   fs::path folder_;
   std::unique_ptr<RestartFile> file;
@@ -43,7 +49,7 @@ protected:
 
 TEST_F(RestartFileTest, GivesBackWhatWasWritten)
 {
-  EXPECT_EQ(file->read(), std::nullopt);
+  EXPECT_THROW(file->read(), std::runtime_error) << "none is there";
   const std::string bytes("with\0zeros\tand\nlines", 20);
   for (const std::string& written : { bytes, std::string(), std::string(3000000, 'x') })
   {
@@ -53,7 +59,7 @@ TEST_F(RestartFileTest, GivesBackWhatWasWritten)
   EXPECT_EQ(std::distance(fs::directory_iterator(folder_ / "below"), fs::directory_iterator()), 1) << "partial files";
   file->remove();
   file->remove();
-  EXPECT_EQ(file->read(), std::nullopt);
+  EXPECT_THROW(file->read(), std::runtime_error);
 }
 
 TEST_F(RestartFileTest, IsForTheUsersEyesAlone)
@@ -64,17 +70,13 @@ TEST_F(RestartFileTest, IsForTheUsersEyesAlone)
   EXPECT_EQ(status.st_mode & 0777, 0600);
 }
 
-TEST_F(RestartFileTest, WhatIsOfAnotherRunIsNotThere)
+TEST_F(RestartFileTest, WhatIsOfAnotherLaunchKindOrVersionIsRefused)
 {
   file->write("pose");
-  EXPECT_EQ(other("motion 1", "another run").read(), std::nullopt);
-}
-
-TEST_F(RestartFileTest, WhatIsOfAnotherKindOrVersionIsRefused)
-{
-  file->write("pose");
-  EXPECT_THROW(other("motion 2", "run").read(), std::runtime_error);
-  EXPECT_THROW(other("template 1", "run").read(), std::runtime_error);
+  EXPECT_THROW(other("motion 1", "another token").read(), std::runtime_error);
+  EXPECT_THROW(other("motion 2", "token").read(), std::runtime_error);
+  EXPECT_THROW(other("template 1", "token").read(), std::runtime_error);
+  EXPECT_EQ(other("motion 1", "token").read(), "pose");
 }
 
 /// Every bit of it counts: no single altered byte and no cut is taken for what was written.
@@ -88,14 +90,7 @@ TEST_F(RestartFileTest, DamageIsFound)
     std::string bad = good;
     bad[i] = static_cast<char>(bad[i] ^ (1 + random() % 255));
     setRaw(bad);
-    try
-    {
-      EXPECT_EQ(file->read(), std::nullopt) << "byte " << i;  // of what looks like another run
-    }
-    catch (const std::runtime_error& error)
-    {
-      EXPECT_NE(std::string(error.what()).find(file->path()), std::string::npos);
-    }
+    EXPECT_THROW(file->read(), std::runtime_error) << "byte " << i;
     setRaw(good.substr(0, i));
     EXPECT_THROW(file->read(), std::runtime_error) << "cut at " << i;
   }
@@ -117,7 +112,7 @@ TEST_F(RestartFileTest, WhatIsNoFileIsRefused)
 TEST_F(RestartFileTest, WhereNothingCanBeWrittenItSaysSo)
 {
   std::ofstream(folder_ / "in_the_way") << "x";
-  const RestartFile blocked((folder_ / "in_the_way" / "node").string(), "motion 1", "run");
+  const RestartFile blocked((folder_ / "in_the_way" / "node").string(), "motion 1", "token", true);
   try
   {
     blocked.write("pose");
@@ -127,7 +122,23 @@ TEST_F(RestartFileTest, WhereNothingCanBeWrittenItSaysSo)
   {
     EXPECT_NE(std::string(error.what()).find("in_the_way"), std::string::npos) << error.what();
   }
-  EXPECT_THROW(RestartFile("/path", "motion 1", "two\nlines"), std::runtime_error);
+  EXPECT_THROW(RestartFile("", "motion 1", "token", true).write("pose"), std::runtime_error);
+}
+
+/// What was true before is not any more.
+TEST_F(RestartFileTest, AFailedWriteLeavesNothingOfBefore)
+{
+  file->write("not held");
+  struct rlimit before;
+  ASSERT_EQ(::getrlimit(RLIMIT_FSIZE, &before), 0);
+  const struct rlimit full = { 10, before.rlim_max };
+  ::signal(SIGXFSZ, SIG_IGN);
+  ASSERT_EQ(::setrlimit(RLIMIT_FSIZE, &full), 0);
+  EXPECT_THROW(file->write("held"), std::runtime_error);
+  ASSERT_EQ(::setrlimit(RLIMIT_FSIZE, &before), 0);
+  EXPECT_THROW(file->read(), std::runtime_error);
+  file->write("held");
+  EXPECT_EQ(file->read(), "held");
 }
 }  // namespace
 }  // namespace xray_tracking

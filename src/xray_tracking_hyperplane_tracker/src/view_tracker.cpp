@@ -55,7 +55,8 @@ void ViewTracker::startAnew()
   reference_stamp_ns_ = 0;
 }
 
-void ViewTracker::takeUp(const cv::Mat& image, std::int64_t stamp_ns, const cv::Rect& wanted)
+void ViewTracker::takeUp(const cv::Mat& image, std::int64_t stamp_ns, const cv::Rect& wanted,
+                         const std::optional<double>& usual)
 {
   begin(stamp_ns, std::nullopt);
   std::string fault = check_.look(image, stamp_ns);
@@ -68,7 +69,7 @@ void ViewTracker::takeUp(const cv::Mat& image, std::int64_t stamp_ns, const cv::
     startAnew();
     throw std::invalid_argument(fault);
   }
-  tracker_.setLost();
+  tracker_.setLost(usual);
   wanted_region_ = wanted;
 }
 

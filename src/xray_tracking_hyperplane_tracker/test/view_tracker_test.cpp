@@ -8,6 +8,7 @@
 #include <string>
 
 #include <gtest/gtest.h>
+#include <opencv2/imgproc.hpp>
 
 #include "synthetic_exposure.h"
 #include "xray_tracking_hyperplane_tracker/hyperplane_tracker.h"
@@ -229,15 +230,16 @@ TEST_F(ViewTrackerTest, anotherRunLearnsTheSameRegionAnew)
   expectTracked(show({ 6.0, 4.0 }), 3, kOther, { 1.0, -1.0 });
 }
 
-/// In the place of one that was killed.
+/// In the place of one that has died.
 class TakenUpViewTrackerTest : public ViewTrackerTest
 {
 protected:
-  ViewTracker successor(const cv::Mat& image, const cv::Rect& wanted)
+  static ViewTracker successor(const cv::Mat& image, const cv::Rect& wanted,
+                               const std::optional<double>& usual = std::nullopt)
   {
     ViewTracker tracker(std::make_unique<HyperplaneTracker>(HyperplaneTrackerOptions(), kCounts), kCounts, 1,
                         MotionModel::TRANSLATION, false, kRegion);
-    tracker.takeUp(image, 1, wanted);
+    tracker.takeUp(image, 1, wanted, usual);
     return tracker;
   }
 };
@@ -267,6 +269,26 @@ TEST_F(TakenUpViewTrackerTest, aTemplateThatIsNotThereIsNotTracked)
   }
   EXPECT_EQ(State::BLIND, tracker.answer(blind(), ++stamp_ + 10).state);
   expectTracked(tracker.answer(exposeAt({ 2.0, 2.0 }, ++seed_), ++stamp_ + 10), 1, kRegion, { 2.0, 2.0 });
+}
+
+/// What the one before has seen of the region proves what this one finds.
+TEST_F(TakenUpViewTrackerTest, whatIsFoundIsAsItWas)
+{
+  const auto covered = [this]
+  {
+    cv::Mat image = exposeAt({ 2.0, 2.0 }, ++seed_);
+    cv::GaussianBlur(image, image, {}, 5.0);  // alike, and not the same
+    return image;
+  };
+  const cv::Mat first = exposeAt({ 0.0, 0.0 }, 100);
+  ViewTracker lenient = successor(first, kRegion);
+  const ViewAnswer& found = lenient.answer(covered(), 20);
+  ASSERT_TRUE(found.found()) << found.fault;
+  const double left = 1.0 - found.motion.correlation * found.motion.correlation;
+  ASSERT_GT(left, 0.06);  // what is always let pass, and some
+  ViewTracker strict = successor(first, kRegion, 0.3 * left);
+  EXPECT_EQ(State::LOST, strict.answer(covered(), 20).state);
+  expectTracked(strict.answer(exposeAt({ 2.0, 2.0 }, ++seed_), 21), 1, kRegion, { 2.0, 2.0 });
 }
 
 TEST_F(TakenUpViewTrackerTest, whatIsNoTemplateIsRefused)

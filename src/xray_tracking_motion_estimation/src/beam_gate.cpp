@@ -310,6 +310,18 @@ bool BeamGate::doubt(const std::string& why)
   return reviewVerification();
 }
 
+bool BeamGate::takeUp(std::int64_t stamp, const Eigen::Vector3d& displacement, const std::string& doubt)
+{
+  last_place_.emplace(stamp, displacement);
+  jump_ = stamp;
+  good_ = 0;
+  if (!doubt.empty())
+  {
+    verification_.doubt(doubt);
+  }
+  return reviewVerification();
+}
+
 bool BeamGate::stated(std::int64_t stamp, const Eigen::Vector3d& displacement, double rotation,
                       const std::string& refusal)
 {

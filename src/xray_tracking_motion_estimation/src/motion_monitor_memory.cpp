@@ -1,6 +1,6 @@
 #include "xray_tracking_motion_estimation/motion_monitor.h"
 
-// How one MotionMonitor goes on where another was killed.
+// How one MotionMonitor goes on where another has died.
 namespace xray_tracking
 {
 std::optional<MotionMemory> MotionMonitor::memory() const
@@ -12,10 +12,7 @@ std::optional<MotionMemory> MotionMonitor::memory() const
   }
   memory->last_stamp = last_pose_->first;
   memory->last_pose = last_pose_->second;
-  if (options_.refinement.mode == RefinementMode::NEVER)
-  {
-    memory->doubt = gate_.verification().fault();
-  }
+  memory->doubt = gate_.verification().fault();
   return memory;
 }
 
@@ -25,23 +22,16 @@ void MotionMonitor::takeUp(const MotionMemory& memory)
   last_pose_ = { memory.last_stamp, memory.last_pose };
   last_was_registered_ = false;
   last_seen_ = memory.last_stamp;
-  if (options_.refinement.mode == RefinementMode::NEVER)
+  std::string doubt = memory.doubt;
+  if (options_.refinement.mode != RefinementMode::NEVER)
   {
-    if (!memory.doubt.empty())
+    // Whatever the one before had been told, of contradictions and refusals too: what it knew is a claim here.
+    doubt = "the node has died, and no registration has confirmed the pose that it goes on from";
+    if (options_.method != PoseMethod::TRACKING)
     {
-      gate_.doubt(memory.doubt);
+      rules_.restart(doubt);
     }
-    return;
   }
-  // Whatever the one before had been told, of contradictions and refusals too: what it knew is a claim here.
-  const std::string doubt =
-      "the node was killed and started again, and no registration has confirmed the pose that it "
-      "goes on from";
-  gate_.doubt(doubt);
-  gate_.refused(doubt, false);
-  if (options_.method != PoseMethod::TRACKING)
-  {
-    rules_.restart(doubt);
-  }
+  gate_.takeUp(memory.last_stamp, rules_.displacement(memory.last_pose), doubt);
 }
 }  // namespace xray_tracking

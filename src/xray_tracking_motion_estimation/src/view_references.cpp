@@ -11,6 +11,13 @@ constexpr std::size_t kHistoryCapacity = 1000;
 
 /// Of a reference that is forgotten but for where its region was: older than any.
 constexpr std::int64_t kNoTemplate = std::numeric_limits<std::int64_t>::min();
+
+/// Another region of the same exposure is another template.
+bool isOf(const ViewReference& reference, const TrackedView& tracked)
+{
+  return reference.template_stamp == tracked.reference_stamp &&
+         (!reference.anchor || reference.anchor->centre == tracked.track.centre);
+}
 }  // namespace
 
 ViewReferences::ViewReferences(std::size_t views) : history_(kHistoryCapacity), references_(views) {}
@@ -42,9 +49,7 @@ void ViewReferences::add(std::int64_t stamp, const RigidTransform& room_from_pat
 bool ViewReferences::find(std::size_t view, const TrackedView& tracked)
 {
   std::optional<ViewReference>& reference = references_[view];
-  // Another region of the same exposure is another template.
-  if (reference && reference->template_stamp == tracked.reference_stamp &&
-      (!reference->anchor || reference->anchor->centre == tracked.track.centre))
+  if (reference && isOf(*reference, tracked))
   {
     return true;
   }
@@ -73,7 +78,7 @@ void ViewReferences::anchor(std::size_t view, const TrackedView& tracked, const 
   {
     return;
   }
-  if (!reference || reference->template_stamp != tracked.reference_stamp)
+  if (!reference || !isOf(*reference, tracked))
   {
     // Learnt at a pose that is not known: about where it is now, less what it was tracked by.
     reference = ViewReference{ tracked.reference_stamp, tracked.region, room_from_patient, {}, {}, true };

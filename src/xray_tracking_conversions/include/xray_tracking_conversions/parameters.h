@@ -10,6 +10,8 @@
 #include <ros/console.h>
 #include <ros/node_handle.h>
 
+#include "xray_tracking_conversions/restart_file.h"
+
 namespace xray_tracking
 {
 namespace detail
@@ -82,9 +84,9 @@ public:
     handle_.getParamNames(names);
     for (const std::string& name : names)
     {
-      // The diagnostic updater reads its period itself.
+      // The diagnostic updater reads its period itself, RestartFile the token.
       if (name.compare(0, name_space.size(), name_space) == 0 && read_.count(name) == 0 &&
-          name != name_space + "diagnostic_period")
+          name != name_space + "diagnostic_period" && name != name_space + RestartFile::kToken)
       {
         ROS_WARN_STREAM("parameter " << name << " is set, but there is none of this name: it has no effect");
       }

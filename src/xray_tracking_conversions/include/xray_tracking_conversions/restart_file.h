@@ -1,34 +1,36 @@
 #pragma once
 
-#include <optional>
 #include <string>
 
 #include <ros/node_handle.h>
 
 namespace xray_tracking
 {
-/// What a node keeps on disk for the one that takes its place if it is killed: one file,
-/// $ROS_HOME/xray_tracking/restart/<node> (by default in ~/.ros), for its user's eyes alone. A node that ends in order
-/// removes it, so that only one that had no time to is succeeded.
+/// What a node keeps on disk for the one that takes its place when it has died: one file,
+/// $ROS_HOME/xray_tracking/restart/<node> (by default in ~/.ros), for its user's eyes alone.
 ///
-/// What is in it counts only within the run of the ROS master that it was written in (its run_id): another run may be
-/// another patient's. A file that is cut off or altered is found by its length and its CRC-32.
+/// That a node takes the place of another, and is not the first of a launch, is known by a token, a private parameter
+/// that the first one sets (clear_params in the launch file ends it with the launch). A file without it is another
+/// launch's, and so maybe another patient's. One that is cut off or altered is found by its CRC-32, which is of all of
+/// it.
 class RestartFile
 {
 public:
+  /// Sets the token if there is none, and removes what another launch has left.
   /// @param pnh of the node's private namespace
   /// @param content what is kept and the version of its form, e.g. "motion 1"
-  /// @throws std::runtime_error without a run_id of the master, or where there is neither ROS_HOME nor HOME
   RestartFile(const ros::NodeHandle& pnh, const std::string& content);
+  /// @param path of the file; @param token of one line; @param succeeds see succeeds()
+  RestartFile(std::string path, std::string content, std::string token, bool succeeds);
 
-  /// @param run the master's; as the other constructor otherwise
-  RestartFile(std::string path, std::string content, std::string run);
+  /// Whether a node of this name was there before in this launch, however it ended.
+  bool succeeds() const { return succeeds_; }
 
-  /// What a node of this name left behind in this run. @return nothing if there is no file, or it is of another run
-  /// @throws std::runtime_error naming the file, what was found and what was expected, if it cannot be used
-  std::optional<std::string> read() const;
+  /// What that one left behind. @throws std::runtime_error naming the file, what was found and what was expected
+  std::string read() const;
 
-  /// In the place of what was there, all or nothing. @throws std::runtime_error naming the file and what is wrong
+  /// In the place of what was there. Where that fails what was there is void, as it is not true any more.
+  /// @throws std::runtime_error naming the file and what is wrong
   void write(const std::string& bytes) const;
 
   /// Nothing happens if there is none.
@@ -36,9 +38,14 @@ public:
 
   const std::string& path() const { return path_; }
 
+  static constexpr const char* kToken = "restart_token";  ///< the parameter's name
+
 private:
+  void replace(const std::string& bytes) const;
+
   std::string path_;
   std::string content_;
-  std::string run_;
+  std::string token_;
+  bool succeeds_;
 };
 }  // namespace xray_tracking

@@ -36,8 +36,14 @@ public:
   void reset();
   bool trained() const { return tracker_->trained(); }
   cv::Rect region() const { return tracker_->region(); }
-  /// The region counts as lost: it has to be proven, wherever it is.
-  void setLost() { lost_ = true; }
+  /// The region counts as lost: it has to be proven, wherever it is. @param usual as usualUnexplained()
+  void setLost(const std::optional<double>& usual)
+  {
+    lost_ = true;
+    usual_unexplained_ = usual;
+  }
+  /// 1 - correlation^2 that tracked images have left; nothing before there were any.
+  const std::optional<double>& usualUnexplained() const { return usual_unexplained_; }
   /// Whether the last track() did not find the region.
   bool lost() const { return lost_; }
   /// Where the region was last found [px], its size kept.

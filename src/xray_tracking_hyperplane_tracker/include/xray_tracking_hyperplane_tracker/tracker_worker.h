@@ -69,9 +69,9 @@ private:
   void work();
   void configure();
   void makeTracker();
-  /// The template that a tracker before this one left behind, if it was killed.
+  /// The template that a tracker before this one left behind, if there was one.
   void takeUp();
-  /// Keeps the template, if it is another one than is kept, for a tracker after this one.
+  /// Keeps the template for a tracker after this one, if it is another one than is kept, or is seen otherwise by now.
   void keep();
   void adoptSettings();
   void process(const Arrival& arrival);
@@ -108,6 +108,8 @@ private:
   sensor_msgs::ImageConstPtr reference_;     ///< that the template was trained on
   std::optional<RestartFile> restart_file_;  ///< none: nothing is kept
   sensor_msgs::ImageConstPtr kept_;          ///< the reference in it
+  double kept_usual_ = 0.0;                  ///< ViewTracker::usualUnexplained() in it; 0: none
+  ros::SteadyTime kept_at_;
   ros::SteadyTime training_end_;
   StampPolicy stamps_;
   std::string logged_error_;

@@ -93,9 +93,12 @@ public:
 
   /// Takes up the template of another tracker of the same detector. It counts as lost: there is no track before an
   /// exposure proves that it is there. With no template so far.
-  /// @param image, stamp_ns that it was learnt on; @param wanted its wantedRegion()
+  /// @param image, stamp_ns that it was learnt on; @param wanted its wantedRegion(); @param usual its
+  /// usualUnexplained(), which proves what is found
   /// @throws std::invalid_argument as RegionTracker::train
-  void takeUp(const cv::Mat& image, std::int64_t stamp_ns, const cv::Rect& wanted);
+  void takeUp(const cv::Mat& image, std::int64_t stamp_ns, const cv::Rect& wanted, const std::optional<double>& usual);
+  /// As RecoveringTracker's.
+  const std::optional<double>& usualUnexplained() const { return tracker_.usualUnexplained(); }
 
   bool trained() const { return tracker_.trained(); }
   /// That a template is learnt of while there is none.

@@ -204,51 +204,57 @@ void TrackerWorker::takeUp()
   {
     return;
   }
-  try
+  restart_file_.emplace(ros::NodeHandle(name_), "template 1");
+  if (!restart_file_->succeeds())
   {
-    restart_file_.emplace(ros::NodeHandle(name_), "template 1");
-  }
-  catch (const std::exception& error)
-  {
-    ROS_WARN_STREAM(name_ << " keeps no template for the case that it is killed: " << error.what());
     return;
   }
   try
   {
-    std::optional<std::string> bytes = restart_file_->read();
-    if (!bytes)
-    {
-      return;
-    }
-    ros::serialization::IStream stream(reinterpret_cast<std::uint8_t*>(bytes->data()),
-                                       static_cast<std::uint32_t>(bytes->size()));
+    std::string bytes = restart_file_->read();
+    ros::serialization::IStream stream(reinterpret_cast<std::uint8_t*>(bytes.data()),
+                                       static_cast<std::uint32_t>(bytes.size()));
     sensor_msgs::RegionOfInterest wanted;
     const auto image = boost::make_shared<sensor_msgs::Image>();
     ros::serialization::deserialize(stream, wanted);
+    ros::serialization::deserialize(stream, kept_usual_);
     ros::serialization::deserialize(stream, *image);
     const std::int64_t stamp = nanosecondsFromTime(image->header.stamp);
-    tracker_->takeUp(pixelsFromMsg(*image), stamp, rectFromRegionMsg(wanted));
+    tracker_->takeUp(pixelsFromMsg(*image), stamp, rectFromRegionMsg(wanted),
+                     kept_usual_ > 0.0 ? std::make_optional(kept_usual_) : std::nullopt);
     // What is older than it is of another run.
     stamps_.take(stamp, 0);
     reference_ = kept_ = image;
     ROS_WARN_STREAM(
-        name_ << " was killed and started again: it looks for the region that was learnt on the exposure of "
+        name_ << " has died and was started again: it looks for the region that was learnt on the exposure of "
               << image->header.stamp);
   }
   catch (const std::exception& error)
   {
-    ROS_ERROR_STREAM(name_ << " was killed, cannot take up the template that it had, and learns another one: "
+    ROS_ERROR_STREAM(name_ << " has died and was started again; it cannot take up the template that it had, and learns "
+                              "another one: "
                            << error.what());
   }
 }
 
 void TrackerWorker::keep()
 {
-  if (!restart_file_ || reference_ == kept_)
+  if (!restart_file_ || (!reference_ && !kept_))
+  {
+    return;
+  }
+  constexpr double kNotable = 1.5;
+  constexpr double kSeldom = 5.0;  // [s]
+  const double usual = tracker_->usualUnexplained().value_or(0.0);
+  const bool is_seen_otherwise = usual > kNotable * kept_usual_ || kept_usual_ > kNotable * usual;
+  const ros::SteadyTime now = ros::SteadyTime::now();
+  if (reference_ == kept_ && (!is_seen_otherwise || (now - kept_at_).toSec() < kSeldom))
   {
     return;
   }
   kept_ = reference_;
+  kept_usual_ = usual;
+  kept_at_ = now;
   if (!reference_)
   {
     restart_file_->remove();
@@ -258,17 +264,20 @@ void TrackerWorker::keep()
   {
     const sensor_msgs::RegionOfInterest wanted =
         regionMsgFromRect(tracker_->wantedRegion().value_or(tracker_->region()));
-    const std::uint32_t length =
-        ros::serialization::serializationLength(wanted) + ros::serialization::serializationLength(*reference_);
+    const std::uint32_t length = ros::serialization::serializationLength(wanted) +
+                                 ros::serialization::serializationLength(usual) +
+                                 ros::serialization::serializationLength(*reference_);
     std::string bytes(length, '\0');
     ros::serialization::OStream stream(reinterpret_cast<std::uint8_t*>(bytes.data()), length);
     ros::serialization::serialize(stream, wanted);
+    ros::serialization::serialize(stream, usual);
     ros::serialization::serialize(stream, *reference_);
     restart_file_->write(bytes);
   }
   catch (const std::exception& error)
   {
-    ROS_WARN_STREAM_THROTTLE(60.0, name_ << " keeps no template for the case that it is killed: " << error.what());
+    ROS_WARN_STREAM_THROTTLE(60.0, name_ << " does not keep its template for a restart: " << error.what()
+                                         << "; make room, or mend the folder");
   }
 }
 

@@ -130,6 +130,13 @@ public:
   /// @return true if reason() has changed
   bool stated(std::int64_t stamp, const Eigen::Vector3d& displacement, double rotation, const std::string& refusal);
 
+  /// Goes on from where the target was before a restart of the process. Where it is next may be a jump that nobody has
+  /// seen: that is confirmed by a refinement, or by as many good exposures as after one.
+  /// @param stamp of the exposure [ns]; @param displacement of the target then [mm]
+  /// @param doubt why that is not verified; empty if it is as verified as an initial pose
+  /// @return true if reason() has changed
+  bool takeUp(std::int64_t stamp, const Eigen::Vector3d& displacement, const std::string& doubt);
+
   /// Time starts again, or the reference is another: as at the start, but for the text.
   bool reset(const std::string& why);
 

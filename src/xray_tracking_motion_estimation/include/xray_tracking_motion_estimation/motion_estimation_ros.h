@@ -73,12 +73,15 @@ private:
   void deadlineCb(const ros::SteadyTimerEvent& event);
   void reportCb(const ros::SteadyTimerEvent& event);
 
-  /// What a process before this one left behind, if it was killed.
+  /// What a process before this one left behind, if there was one.
   void readRestartFile();
+  /// What poses counted from is not known any more: the patient may be anywhere.
+  void cannotGoOn(const std::string& why);
   /// With the geometry. @param stamp of the first exposure [ns]
   void takeUp(std::int64_t stamp);
-  /// Keeps what is known for a process after this one. @param wait until it is on the disk
-  void keep(bool wait);
+  /// Keeps what is known for a process after this one. @param wait until it is on the disk, if that is not slow
+  /// @return whether it is, if that was waited for; else whether it is on its way
+  bool keep(bool wait);
 
   /// Gives the geometry to the monitor, or sees whether it is still the one that it has. @return what is wrong; empty
   /// if nothing is
@@ -110,8 +113,11 @@ private:
   BeamGate idle_gate_;  ///< of a node that cannot work
 
   std::optional<RestartFile> restart_file_;  ///< none: nothing is kept
-  std::optional<RunMemory> before_;          ///< what was left behind, until it is taken up or cannot be
-  std::future<void> keeping_;
+  std::optional<RunMemory> before_;  ///< what was left behind, with a motion, until that is taken up or cannot be
+  std::future<bool> keeping_;
+  // What was kept last of what people say.
+  std::string kept_hold_;
+  bool kept_operator_ = false;
 
   ros::Time started_;      ///< this node; zero until a simulated clock has come
   ros::Time first_heard_;  ///< earliest exposure since the start; zero before

@@ -11,7 +11,7 @@
 
 namespace xray_tracking
 {
-/// What poses count from: with it another MotionMonitor goes on where one was killed, beside trackers that keep their
+/// What poses count from: with it another MotionMonitor goes on where one has died, beside trackers that keep their
 /// templates. None of it is verified there, see MotionMonitor::takeUp().
 struct MotionMemory
 {
@@ -21,7 +21,7 @@ struct MotionMemory
   Matrix6d reference_covariance = Matrix6d::Zero();       ///< of the target's centre [mm] and rotation [rad]
   std::int64_t last_stamp = 0;                            ///< of the last exposure with a pose [ns]
   RigidTransform last_pose = RigidTransform::Identity();
-  std::string doubt;  ///< why that pose may be wrong although nobody asks a registration; empty if nothing says so
+  std::string doubt;  ///< why that pose was not verified; empty if it was
 };
 
 /// What is kept of a run: the detectors, what people said to the gate, and what poses count from, if anything yet.

@@ -60,12 +60,13 @@ public:
   /// empty if it is taken to be there
   void restart(const std::string& doubt);
 
-  /// What to go on with in another process if this one is killed; nothing if no pose is known.
+  /// What to go on with in another process if this one dies; nothing if no pose is known.
   std::optional<MotionMemory> memory() const;
 
-  /// Goes on from what another one knew when it was killed. With the geometry, the same one, before the first exposure.
-  /// Nothing of it is verified: where a registration is asked it takes two in a row that are accepted; without one the
-  /// memory's own doubt, if there is one, goes on.
+  /// Goes on from what another one knew when it died. With the geometry, the same one, before the first exposure.
+  /// Where a registration is asked nothing of it is verified, and no pose comes, but of method tracking, before one is
+  /// accepted; without a registration the memory's own doubt, if there is one, goes on. What the target did meanwhile
+  /// is a jump to the gate.
   /// @throws std::invalid_argument if it cannot be, whereupon nothing is changed
   void takeUp(const MotionMemory& memory);
 

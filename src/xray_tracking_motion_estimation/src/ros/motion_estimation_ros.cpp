@@ -103,17 +103,14 @@ MotionEstimationRos::~MotionEstimationRos()
     }
   }
   deadline_timer_.stop();
-  if (restart_file_)
+  if (keeping_.valid())
   {
-    if (keeping_.valid())
-    {
-      keeping_.wait();
-    }
-    // Of a nodelet that is unloaded, as its loader has died, another one takes the place.
-    if (!ros::ok())
-    {
-      restart_file_->remove();
-    }
+    keeping_.wait();
+  }
+  // A nodelet may be unloaded because its loader has died; then another one takes its place.
+  if (restart_file_ && !ros::ok())
+  {
+    restart_file_->remove();
   }
 }
 
@@ -240,6 +237,7 @@ void MotionEstimationRos::trackedRegionCb(const TrackedRegion::ConstPtr& message
     monitor_->restart(ros::Time::isSimTime()
                           ? ""
                           : "time went back: nothing has confirmed that the patient was at the initial pose again");
+    before_.reset();
     // This node's own transforms of the earlier run; static ones stay.
     tf_buffer_.clear();
   }
@@ -333,6 +331,7 @@ void MotionEstimationRos::settle()
   }
   if (const std::optional<ClaimOutcome> outcome = monitor_->takeOutcome())
   {
+    keep(true);
     alignment_server_->finish(*outcome);
   }
   while (const std::optional<RegionProposal> proposal = monitor_->takeProposal())
@@ -435,6 +434,7 @@ bool MotionEstimationRos::restartCb(std_srvs::Trigger::Request&, std_srvs::Trigg
   ROS_WARN("starts over: somebody states that the patient is at the initial pose");
   started_ = ros::Time::now();
   first_heard_ = ros::Time();
+  before_.reset();
   monitor_->restart("");
   settle();
   keep(true);
@@ -454,11 +454,12 @@ bool MotionEstimationRos::holdBeamCb(std_srvs::SetBool::Request& request, std_sr
     response.message = monitor_->beamHold().release(steadyNanoseconds());
   }
   publishGate();
-  keep(true);
+  const bool kept = keep(true);
   response.success = static_cast<std::uint8_t>(response.message.empty());
   if (response.message.empty())
   {
     response.message = request.data ? "the beam is held until it is released" : "the beam is not held any more";
+    response.message += kept ? "" : "; that could not be kept for the case that this node dies";
   }
   return true;
 }
@@ -484,6 +485,10 @@ void MotionEstimationRos::watchdogCb(const ros::SteadyTimerEvent&)
   }
   monitor_->onTime(steadyNanoseconds());
   settle();
+  if (kept_hold_ != monitor_->beamHold().why() || kept_operator_ != monitor_->beamHold().operatorHeard())
+  {
+    keep(false);
+  }
 }
 
 void MotionEstimationRos::deadlineCb(const ros::SteadyTimerEvent&)
