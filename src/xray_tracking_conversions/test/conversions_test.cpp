@@ -257,6 +257,8 @@ TEST(Conversions, PixelsOfEveryImage)
   expectRefused([&] { pixelsFromMsg(message); }, "compressed image");
   cv::imencode(".png", cv::Mat(2, 3, CV_8UC3, cv::Scalar(1, 2, 3)), message.data);
   expectRefused([&] { pixelsFromMsg(message); }, "one channel");
+  cv::imencode(".png", cv::Mat(2, 16385, CV_8UC1, cv::Scalar(1)), message.data);
+  expectRefused([&] { pixelsFromMsg(message); }, "16384 x 16384 pixels at most");
 }
 }  // namespace
 }  // namespace xray_tracking

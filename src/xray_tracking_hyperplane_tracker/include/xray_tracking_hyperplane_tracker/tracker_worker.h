@@ -13,6 +13,7 @@
 
 #include <xray_tracking_msgs/TrackedRegion.h>
 
+#include "xray_tracking_conversions/log_throttle.h"
 #include "xray_tracking_core/sequence/stamp_policy.h"
 #include "xray_tracking_hyperplane_tracker/bounded_queue.h"
 #include "xray_tracking_hyperplane_tracker/tracker_parameters.h"
@@ -103,6 +104,7 @@ private:
   sensor_msgs::ImageConstPtr reference_;     ///< that the template was trained on
   ros::SteadyTime training_end_;
   StampPolicy stamps_;
+  LogThrottle throttle_;
   std::string logged_error_;
   std::uint8_t logged_state_ = TrackedRegion::UNTRAINED;
 
