@@ -205,7 +205,7 @@ TEST_F(CtFileChecksTest, SizesThatAFileOnlyClaims)
   writePatched("ct.nii", 42, dimensions);
   expectRefused(path("ct.nii"), { "32767 32767 32767 voxels", "1073741824 at most" });
   // Dimensions that the header does not bound.
-  writeWithHeader("ct.nrrd", "NRRD0004\ntype: short\ndimension: 4\nencoding: raw\nsizes: 2 2 2 2\n\n");
+  writeWithHeader("ct.nrrd", "NRRD0004\ntype: short\ndimension: 4\nencoding: raw\nspacings: 1 1 1 1\nsizes: 2 2 2 2\n\n");
   expectRefused(path("ct.nrrd"), { "4 dimensions, expected 3" });
   writeWithHeader("ct.mha", "ObjectType = Image\nNDims = 400\nDimSize = 2 2 2\nElementDataFile = LOCAL\n");
   expectRefused(path("ct.mha"), { "NDims is 400" });

@@ -179,6 +179,18 @@ TEST_F(DicomSeriesTest, MessagesHaveNoUid)
   EXPECT_EQ(readCtVolume(folder_.path(), { other }).hu, volume.hu) << "in full";
 }
 
+TEST_F(SharedDataTest, LibrariesSayNothing)
+{
+  // GDCM has 218 warnings of one of them, ITK others: what is wrong with a file is in the exception.
+  for (const char* const ct : { "/thorax_ct", "/rtstruct/ct" })
+  {
+    testing::internal::CaptureStderr();
+    testing::internal::CaptureStdout();
+    readCtVolume(folder_ + ct);
+    EXPECT_EQ(testing::internal::GetCapturedStderr() + testing::internal::GetCapturedStdout(), "") << ct;
+  }
+}
+
 TEST_F(SharedDataTest, Thorax)
 {
   const CtVolume ct = readCtVolume(folder_ + "/thorax_ct");
