@@ -12,7 +12,7 @@ from sensor_msgs.msg import CameraInfo, Image
 
 DETECTORS = ("detector_a", "detector_b")
 RATE = 30.0  # Hz
-SECONDS = 2.0
+SECONDS = 1.0
 SIZE = 512
 
 

@@ -47,7 +47,7 @@ std::string adviceFor(std::uint8_t status)
     case Result::TIMED_OUT:
       return "; if it lasts, raise time_budget, or give it processors";
     case Result::NO_VOLUME:
-      return "; load a CT (load_volume)";
+      return "; wait, or load a CT (load_volume)";
     case Result::NO_EXPOSURE:
       return "; look whether all detectors send images and camera_info with the same stamps";
     default:
