@@ -47,10 +47,11 @@ def places(path, method, point):
     return numpy.array(found)
 
 
-# The live graph on the plan's setup; and what refuses, whose messages are longest: two series in a folder, a structure set
-# and a plan of another CT.
-FURTHER = """roslaunch xray_tracking_bringup treatment_room.launch setup_file:=$PWD/exports/linac/sequence.yaml source:=ct \
-rviz:=false supervised:=true exposures:=3 rate:=2 record:=$PWD/recorded.bag
+# The live graph on the plan's setup and the linac's images; and what refuses, whose messages are longest: two series in a
+# folder, a structure set and a plan of another CT.
+FURTHER = """rosrun xray_tracking_tools sequence_to_bag exports/linac exposures.bag
+roslaunch xray_tracking_bringup playback.launch bag:=$PWD/exposures.bag setup_file:=$PWD/exports/linac/sequence.yaml \
+rviz:=false supervised:=true exposures:=6 record:=$PWD/recorded.bag
 rosrun xray_tracking_tools check_bag recorded.bag
 ! rosrun xray_tracking_tools setup_from_ct two_series refused.yaml
 ! rosrun xray_tracking_tools setup_from_plan other_ct exports/linac/structures.dcm exports/linac/plan.dcm refused.yaml \
@@ -60,11 +61,10 @@ rosrun xray_tracking_tools check_bag recorded.bag
 class OwnDataTest(unittest.TestCase):
     def run_all(self, text, directory, environment, said):
         for command in text.splitlines():
-            with self.subTest(command):
-                result = subprocess.run(["bash", "-c", command], cwd=directory, stdout=subprocess.PIPE, env=environment,
-                                        stderr=subprocess.STDOUT, universal_newlines=True, timeout=300)
-                self.assertEqual(result.returncode, 0, result.stdout)
-                said.append(result.stdout)
+            result = subprocess.run(["bash", "-c", command], cwd=directory, stdout=subprocess.PIPE, env=environment,
+                                    stderr=subprocess.STDOUT, universal_newlines=True, timeout=300)
+            self.assertEqual(result.returncode, 0, command + "\n" + result.stdout)
+            said.append(result.stdout)
 
     def test_every_command_leads_where_the_document_says(self):
         with tempfile.TemporaryDirectory() as folder:
@@ -112,10 +112,10 @@ class OwnDataTest(unittest.TestCase):
         other = list(dicom_files(os.path.join(folder, "other_ct")))
         for path in other:
             data = pydicom.dcmread(path)
-            data.SeriesInstanceUID += ".2"
-            data.FrameOfReferenceUID += ".2"
+            data.SeriesInstanceUID = data.SeriesInstanceUID[:-2] + ".2"
+            data.FrameOfReferenceUID = data.FrameOfReferenceUID[:-2] + ".2"
             data.save_as(path)
-            data.SOPInstanceUID += ".2"
+            data.SOPInstanceUID = data.SOPInstanceUID[:-2] + ".2"
             data.save_as(os.path.join(folder, "two_series", f"CT.{data.SOPInstanceUID}.dcm"))
         return mark(os.path.join(folder, "other_ct"))
 
