@@ -60,10 +60,10 @@ class ConfigurationTest(unittest.TestCase):
             if path.name in ("trackers.launch", "supervisor.launch"):  # included by the others, in what they set
                 continue
             required = REQUIRED_ARGUMENTS.get(path.name, [])
-            for environment, arguments, expected in (({}, [], "127.0.0.1"),
+            for environment, arguments, expected in (({}, [], "localhost"),
                                                      ({"ROS_IP": other["ROS_IP"]}, [], other["ROS_IP"]),
                                                      (other, [], other["ROS_HOSTNAME"]),
-                                                     (other, ["hostname:=localhost"], "localhost")):
+                                                     (other, ["hostname:=here"], "here")):
                 with self.subTest(path=path.name, environment=environment, arguments=arguments), \
                         unittest.mock.patch.dict(os.environ, environment):
                     for name in set(other) - set(environment):
