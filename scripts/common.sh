@@ -56,7 +56,8 @@ source_workspace() {
 
 # A master of one's own on the loopback: runs neither meet each other nor leave the machine.
 use_private_master() {
-  export ROS_HOSTNAME=127.0.0.1
+  # By its name: with 127.0.0.1 C++ nodes would send and receive on all interfaces.
+  export ROS_HOSTNAME=localhost
   unset ROS_IP
   ROS_MASTER_URI="http://127.0.0.1:$(/usr/bin/python3 -c '
 import socket

@@ -1,8 +1,11 @@
 #!/usr/bin/python3
 """Loads every launch and YAML file of the package set."""
 import itertools
+import os
 import pathlib
 import unittest
+import unittest.mock
+import xml.etree.ElementTree
 
 import roslaunch.config
 import roslaunch.xmlloader
@@ -51,6 +54,23 @@ class ConfigurationTest(unittest.TestCase):
                         self.assertTrue(roslib.packages.find_node(node.package, node.type),
                                         f"{node.package}/{node.type}")
 
+    def test_nodes_stay_on_this_computer_unless_told_otherwise(self):
+        other = {"ROS_HOSTNAME": "robot.example.org", "ROS_IP": "192.0.2.1"}
+        for path in files("launch", "*.launch"):
+            if path.name in ("trackers.launch", "supervisor.launch"):  # included by the others, in what they set
+                continue
+            required = REQUIRED_ARGUMENTS.get(path.name, [])
+            for environment, arguments, expected in (({}, [], "localhost"),
+                                                     ({"ROS_IP": other["ROS_IP"]}, [], other["ROS_IP"]),
+                                                     (other, [], other["ROS_HOSTNAME"]),
+                                                     (other, ["hostname:=here"], "here")):
+                with self.subTest(path=path.name, environment=environment, arguments=arguments), \
+                        unittest.mock.patch.dict(os.environ, environment):
+                    for name in set(other) - set(environment):
+                        os.environ.pop(name, None)
+                    for node in load(path, required + arguments).nodes:
+                        self.assertEqual(dict(node.env_args).get("ROS_HOSTNAME"), expected, node.name)
+
     def test_where_there_is_a_ct_it_is_registered(self):
         path = next(path for path in files("launch", "*.launch") if path.name == "tracking.launch")
         for source, method in (("ct", "tracking_and_registration"), ("phantom", "tracking")):
@@ -70,6 +90,25 @@ class ConfigurationTest(unittest.TestCase):
             path = next(path for path in files("launch", "*.launch") if path.name == name)
             params = load(path, REQUIRED_ARGUMENTS.get(name, []) + ["initial_pose_verified:=true"]).params
             self.assertIs(params["/motion_estimation/gate/initial_pose_verified"].value, True)
+
+    def test_rosdep_knows_every_dependency(self):
+        source = pathlib.Path(rospkg.RosPack().get_path("xray_tracking_bringup")).parent
+        rosdep = source.parent / "rosdep"
+        if not rosdep.is_dir():
+            self.skipTest("an installed package")
+        ours = set(yaml.safe_load((rosdep / "xray_tracking.yaml").read_text()))
+        theirs = {line for line in (rosdep / "known_keys.txt").read_text().splitlines() if line and line[0] != "#"}
+        self.assertEqual(ours & theirs, set())
+        wanted = set()
+        manifests = list(source.glob("*/package.xml"))
+        self.assertEqual(len(manifests), 11)
+        for manifest in manifests:
+            for element in xml.etree.ElementTree.parse(str(manifest)).getroot():
+                if element.tag.endswith("depend"):
+                    wanted.add(element.text)
+            self.assertTrue((manifest.parent / "CHANGELOG.rst").is_file(), manifest)
+        self.assertEqual(wanted - ours - theirs - set(rospkg.RosPack().list()), set())
+        self.assertEqual((ours | theirs) - wanted, set(), "keys that nobody needs")
 
     def test_every_yaml_file_is_one(self):
         paths = list(files("config", "*.yaml")) + list(files("rviz", "*.rviz"))

@@ -61,12 +61,26 @@ cv::Mat pixelsFromMsg(const sensor_msgs::Image& message)
   return pixels;
 }
 
+namespace
+{
+/// Whether it is no PNG that claims more than any panel has: a kilobyte may claim, and be decoded to, gigabytes. OpenCV
+/// bounds other formats, to a gigapixel.
+bool isBounded(const std::vector<std::uint8_t>& data)
+{
+  constexpr std::size_t kWidth = 16, kHeight = 20;  // of the header, which comes first
+  const auto isLarge = [&data](std::size_t at) { return data[at] > 0 || data[at + 1] > 0 || data[at + 2] > 0x40; };
+  return data.size() < kHeight + 4 || data[1] != 'P' || data[2] != 'N' || data[3] != 'G' ||
+         (!isLarge(kWidth) && !isLarge(kHeight));
+}
+}  // namespace
+
 cv::Mat pixelsFromMsg(const sensor_msgs::CompressedImage& message)
 {
   cv::Mat pixels;
   try
   {
-    pixels = message.data.empty() ? cv::Mat() : cv::imdecode(message.data, cv::IMREAD_UNCHANGED);
+    pixels =
+        message.data.empty() || !isBounded(message.data) ? cv::Mat() : cv::imdecode(message.data, cv::IMREAD_UNCHANGED);
   }
   catch (const cv::Exception&)
   {
@@ -78,9 +92,9 @@ cv::Mat pixelsFromMsg(const sensor_msgs::CompressedImage& message)
   }
   if (pixels.empty())
   {
-    throw std::invalid_argument("compressed image.format is '" + message.format + "', of " +
-                                std::to_string(message.data.size()) +
-                                " bytes: expected a PNG or JPEG image of one channel of 8 or 16 bit");
+    throw std::invalid_argument(
+        "compressed image.format is '" + message.format + "', of " + std::to_string(message.data.size()) +
+        " bytes: expected a PNG or JPEG image of one channel of 8 or 16 bit, of 16384 x 16384 pixels at most");
   }
   return pixels;
 }

@@ -1,5 +1,6 @@
 #include "xray_tracking_conversions/conversions.h"
 #include "xray_tracking_conversions/image_pixels.h"
+#include "xray_tracking_conversions/log_throttle.h"
 
 #include <cmath>
 #include <functional>
@@ -257,6 +258,20 @@ TEST(Conversions, PixelsOfEveryImage)
   expectRefused([&] { pixelsFromMsg(message); }, "compressed image");
   cv::imencode(".png", cv::Mat(2, 3, CV_8UC3, cv::Scalar(1, 2, 3)), message.data);
   expectRefused([&] { pixelsFromMsg(message); }, "one channel");
+  cv::imencode(".png", cv::Mat(2, 16385, CV_8UC1, cv::Scalar(1)), message.data);
+  expectRefused([&] { pixelsFromMsg(message); }, "16384 x 16384 pixels at most");
+}
+
+TEST(LogThrottle, EachCauseOnceASecond)
+{
+  LogThrottle one, other;
+  EXPECT_TRUE(one.due("lost"));
+  EXPECT_FALSE(one.due("lost"));
+  EXPECT_TRUE(one.due("blind"));
+  EXPECT_TRUE(other.due("lost")) << "of another detector";
+  ros::WallDuration(1.1).sleep();
+  EXPECT_TRUE(one.due("lost"));
+  EXPECT_FALSE(one.due("lost"));
 }
 }  // namespace
 }  // namespace xray_tracking

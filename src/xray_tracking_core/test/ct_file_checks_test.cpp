@@ -1,5 +1,7 @@
+#include <sys/resource.h>
 #include <sys/stat.h>
 
+#include <cstdint>
 #include <cstring>
 #include <filesystem>
 #include <fstream>
@@ -159,6 +161,58 @@ TEST_F(CtFileChecksTest, WhatIsNoVolumeFile)
   expectRefused(path("pipe.nrrd"), { "neither a file nor a folder" });
   std::filesystem::create_directory(path("empty"));
   expectRefused(path("empty"), { "no DICOM CT image" });
+}
+
+/// The most memory that this process has had [MB].
+long mostMemory()
+{
+  rusage usage{};
+  getrusage(RUSAGE_SELF, &usage);
+  return usage.ru_maxrss >> 10;
+}
+
+TEST_F(CtFileChecksTest, SizesThatAFileOnlyClaims)
+{
+  const long before = mostMemory();
+  const std::string nrrd = "NRRD0004\ntype: double\ndimension: 3\nendian: little\nspacings: 1 1 1\n";
+  const std::string meta = "ObjectType = Image\nNDims = 3\nElementSpacing = 1 1 1\nElementType = MET_DOUBLE\n";
+  // Far too many; more than a number of voxels, of bytes or of an axis can be; as many as wrap around to 2 x 2 x 2.
+  for (const char* const sizes :
+       { "10000 10000 10000", "2000000000 2000000000 2000000000", "1 1 99999999999999999999999",
+         "4294967298 4294967298 4294967298", "-2 -2 2", "2 2", "2 2 2 2", "nan 2 2", "" })
+  {
+    writeWithHeader("ct.nrrd", nrrd + "encoding: raw\nsizes: " + sizes + "\n\n");
+    expectRefused(path("ct.nrrd"),
+                  { "dimension is 3, sizes " + std::string(sizes), "1073741824 voxels at most" });
+    writeWithHeader("ct.mha", meta + "DimSize = " + sizes + "\nElementDataFile = LOCAL\n");
+    expectRefused(path("ct.mha"), { "NDims is 3, DimSize " + std::string(sizes), "1073741824 voxels at most" });
+  }
+  // A number that is allowed, of a file that cannot hold it, compressed or not.
+  for (const char* const encoding : { "raw", "gzip" })
+  {
+    writeWithHeader("ct.nrrd", nrrd + "encoding: " + encoding + "\nsizes: 1000 1000 1000\n\n");
+    expectRefused(path("ct.nrrd"), { "truncated" });
+  }
+  for (const char* const compressed : { "False", "True" })
+  {
+    writeWithHeader("ct.mha",
+                    meta + "CompressedData = " + compressed + "\nDimSize = 1000 1000 1000\nElementDataFile = LOCAL\n");
+    expectRefused(path("ct.mha"), { "truncated" });
+  }
+  const std::int16_t largest[] = { 32767, 32767, 32767, 1 };  // of NIfTI, from its second dimension on
+  std::uint64_t dimensions;
+  std::memcpy(&dimensions, largest, sizeof(dimensions));
+  writePatched("ct.nii", 42, dimensions);
+  expectRefused(path("ct.nii"), { "32767 32767 32767 voxels", "1073741824 at most" });
+  // Dimensions that the header does not bound.
+  writeWithHeader("ct.nrrd", "NRRD0004\ntype: short\ndimension: 4\nencoding: raw\nspacings: 1 1 1 1\nsizes: 2 2 2 2\n\n");
+  expectRefused(path("ct.nrrd"), { "4 dimensions, expected 3" });
+  writeWithHeader("ct.mha", "ObjectType = Image\nNDims = 400\nDimSize = 2 2 2\nElementDataFile = LOCAL\n");
+  expectRefused(path("ct.mha"), { "NDims is 400" });
+  // A header without end.
+  folder_.write("ct.nrrd", "NRRD0004\n" + std::string(3 << 20, 'x'));
+  expectRefused(path("ct.nrrd"), { "its header has no end" });
+  EXPECT_LT(mostMemory() - before, 50) << "MB were taken for what is not there";
 }
 
 TEST_F(CtFileChecksTest, WithoutPermission)

@@ -156,6 +156,41 @@ TEST_F(DicomSeriesTest, Errors)
   expectRefused(folder_.path(), { "2 CT series", "ct_series: '1.2.3.4'", "ct_series: '5.6.7'", "36 slices" });
 }
 
+TEST_F(DicomSeriesTest, MessagesHaveNoUid)
+{
+  const std::string one = "1.2.840.113619.2.55.3.2831868886.123.1111111111.467";
+  const std::string other = "1.2.840.113619.2.55.3.2831868886.123.2222222222.468";
+  const CtVolume volume = sampled(Eigen::Matrix3d::Identity());
+  writeSeries(volume, one);
+  writeSeries(volume, other);
+  try
+  {
+    readCtVolume(folder_.path());
+    ADD_FAILURE() << "two series";
+  }
+  catch (const std::runtime_error& error)
+  {
+    const std::string message = error.what();
+    EXPECT_EQ(message.find("2831868886"), std::string::npos) << message;
+    EXPECT_NE(message.find("ct_series: '...1111.467'  # 36 slices"), std::string::npos) << message;
+    EXPECT_NE(message.find("ct_series: '...2222.468'"), std::string::npos) << message;
+  }
+  EXPECT_EQ(readCtVolume(folder_.path(), { "...1111.467" }).hu, volume.hu) << "as the list has it";
+  EXPECT_EQ(readCtVolume(folder_.path(), { other }).hu, volume.hu) << "in full";
+}
+
+TEST_F(SharedDataTest, LibrariesSayNothing)
+{
+  // GDCM has 218 warnings of one of them, ITK others: what is wrong with a file is in the exception.
+  for (const char* const ct : { "/thorax_ct", "/rtstruct/ct" })
+  {
+    testing::internal::CaptureStderr();
+    testing::internal::CaptureStdout();
+    readCtVolume(folder_ + ct);
+    EXPECT_EQ(testing::internal::GetCapturedStderr() + testing::internal::GetCapturedStdout(), "") << ct;
+  }
+}
+
 TEST_F(SharedDataTest, Thorax)
 {
   const CtVolume ct = readCtVolume(folder_ + "/thorax_ct");

@@ -602,5 +602,18 @@ TEST_F(SharedDataTest, ThoraxSequences)
     }
   }
 }
+
+TEST(Sequence, FilesOfMoreThanTheyCanHold)
+{
+  const TemporaryFolder folder;
+  for (const char* const name : { "large.yaml", "large.csv" })
+  {
+    folder.write(name, "stamp_s");
+    std::filesystem::resize_file(folder.path(name), std::uintmax_t{ 5 } << 30);  // sparse: it takes no space
+  }
+  expectError<std::runtime_error>([&] { loadTreatmentSetup(folder.path("large.yaml")); },
+                                  { "large.yaml", "is 5120 MB" });
+  expectError<std::runtime_error>([&] { loadPoses(folder.path("large.csv")); }, { "large.csv", "is 5120 MB" });
+}
 }  // namespace
 }  // namespace xray_tracking

@@ -204,6 +204,15 @@ TEST(XrayImage, RejectsOthers)
   expectRejected("empty.png", { "empty.png", "PNG, TIFF or DICOM" });
   cv::imwrite(folder.path("turned.png"), cv::Mat(6, 4, CV_16UC1, cv::Scalar(1)));
   expectRejected("turned.png", { "turned.png", "4 x 6", "6 x 4" });
+  // What a header claims is judged before anything is allocated for it: decoded, they would be "truncated".
+  std::string claim = content("turned.png");
+  claim.replace(16, 8, std::string("\0\0\x4e\x20\0\0\x4e\x20", 8));
+  folder.write("claim.png", claim);
+  expectRejected("claim.png", { "claim.png", "20000 x 20000", "6 x 4" });
+  folder.write("claim.png", claim.substr(0, 20));
+  expectRejected("claim.png", { "claim.png", "truncated" });
+  folder.write("claim.tif", tiffFile({ { { 256, 4, { 60000 } }, { 257, 4, { 60000 } }, { 258, 2, { 16 } } } }, "xx"));
+  expectRejected("claim.tif", { "claim.tif", "60000 x 60000", "6 x 4" });
 }
 
 TEST(XrayImage, DicomAsTheStandardHasIt)

@@ -210,7 +210,12 @@ class RequestsTest(RegistrationTestCase):
 
     def test_volumes(self):
         with tempfile.TemporaryDirectory() as folder:
-            for path, word in ((not_a_volume(folder), "not_a_volume.nrrd"), ("/nowhere", "/nowhere"), ("", "path")):
+            os.symlink("/etc/hostname", os.path.join(folder, "link.nrrd"))
+            for path, word in ((not_a_volume(folder), "not_a_volume.nrrd"), ("/nowhere", "/nowhere"), ("", "path"),
+                               ("/etc/hostname", "out of the data folder"),
+                               (os.path.join(folder, "../../etc/hostname"), "out of the data folder"),
+                               (os.path.join(folder, "link.nrrd"), "out of the data folder"),
+                               (os.path.join(folder, "nothing.nrrd"), "no such file")):
                 answer = self.load(path)
                 self.assertFalse(answer.success)
                 self.assertIn(word, answer.message)

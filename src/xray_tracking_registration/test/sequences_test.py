@@ -150,7 +150,7 @@ class SequencesTest(RegistrationTestCase):
             parameters = {"from": "labels", "label": 4, "label_map": os.path.join(folder, "labels.nrrd"),
                           "file": os.path.join(folder, "mask.nrrd"), "inner_mm": 2.0, "outer_mm": 6.0}
             rospy.set_param("/labels/registration", {"setup_file": rospy.get_param("/setup_file"), "source": "ct",
-                                                     "mask": parameters})
+                                                     "data_folder": folder, "mask": parameters})
             node = roslib.packages.find_node("xray_tracking_registration", "registration_node")[0]
             process = subprocess.Popen([node, "__ns:=/labels"])
             try:
@@ -190,7 +190,8 @@ class SequencesTest(RegistrationTestCase):
             mask = {"from": "roi", "file": os.path.join(folder, "mask.nrrd"), "inner_mm": 2.0, "outer_mm": 6.0}
             node = roslib.packages.find_node("xray_tracking_registration", "registration_node")[0]
             for name, setup_file in (("untargeted", rospy.get_param("/setup_file")), ("roi", setup)):
-                rospy.set_param(f"/{name}/registration", {"setup_file": setup_file, "source": "ct", "mask": mask})
+                rospy.set_param(f"/{name}/registration", {"setup_file": setup_file, "source": "ct", "data_folder": folder,
+                                                          "mask": mask})
                 process = subprocess.Popen([node, f"__ns:=/{name}"])
                 try:
                     load = rospy.ServiceProxy(f"/{name}/registration/load_volume", LoadVolume)

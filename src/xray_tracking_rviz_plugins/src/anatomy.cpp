@@ -3,13 +3,14 @@
 #include <algorithm>
 #include <cmath>
 #include <fstream>
-#include <functional>
 #include <iomanip>
 #include <sstream>
 #include <stdexcept>
 
+#include <QCryptographicHash>
 #include <boost/filesystem.hpp>
 
+#include "xray_tracking_core/volume/data_folder.h"
 #include "xray_tracking_core/volume/neck_phantom.h"
 
 namespace xray_tracking
@@ -368,10 +369,14 @@ Anatomy makeAnatomy(const AnatomySource& source, const std::atomic<bool>& stop)
 
 Anatomy cachedAnatomy(const AnatomySource& source, const std::string& folder, const std::atomic<bool>& stop)
 {
-  const std::string key = source.key();
-  std::ostringstream name;
-  name << std::hex << std::hash<std::string>()(key) << ".anatomy";
-  const fs::path file = fs::path(folder) / name.str();
+  if (source.data_folder)
+  {
+    ctBelow(source.ct_path, *source.data_folder);
+  }
+  // Paths and UIDs do not go into the cache.
+  const std::string key =
+      QCryptographicHash::hash(QByteArray::fromStdString(source.key()), QCryptographicHash::Sha256).toHex().toStdString();
+  const fs::path file = fs::path(folder) / (key.substr(0, 16) + ".anatomy");
   {
     std::ifstream in(file.string(), std::ios::binary);
     if (in)
@@ -396,6 +401,7 @@ Anatomy cachedAnatomy(const AnatomySource& source, const std::string& folder, co
     out.close();
     if (out)
     {
+      fs::permissions(unfinished, fs::owner_read | fs::owner_write, error);  // a patient's bones
       fs::rename(unfinished, file, error);
     }
     else

@@ -252,7 +252,12 @@ void AnatomyDisplay::followRoom()
     // The registration's own word goes before.
     const std::string ct_path = volume_.value_or(source == "phantom" ? "" : setup_->ct_path);
     shown_ = ct_path.empty() ? "the neck phantom" : ct_path;
-    loader_->load({ ct_path.empty(), ct_path, setup_->ct_content, setup_->target_box, setup_->ct_choice });
+    AnatomySource anatomy{ ct_path.empty(), ct_path, setup_->ct_content, setup_->target_box, setup_->ct_choice, {} };
+    if (!ct_path.empty() && ct_path != setup_->ct_path)
+    {
+      anatomy.data_folder = room.data_folder;  // anybody may publish a path
+    }
+    loader_->load(anatomy);
     wanted_ = false;
   }
   const std::string& what = shown_;

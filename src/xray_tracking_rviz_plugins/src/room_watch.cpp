@@ -7,6 +7,8 @@
 #include <ros/this_node.h>
 #include <boost/filesystem.hpp>
 
+#include "xray_tracking_core/volume/data_folder.h"
+
 namespace xray_tracking
 {
 namespace
@@ -125,6 +127,10 @@ void RoomWatch::readSetup(Room& room)
   try
   {
     room.setup = std::make_shared<const TreatmentSetup>(loadTreatmentSetup(path));
+    if (!nh_.getParam("registration/data_folder", room.data_folder) || room.data_folder.empty())
+    {
+      room.data_folder = usualDataFolder(*room.setup, path);
+    }
   }
   catch (const std::exception& fault)
   {

@@ -20,6 +20,7 @@ struct Room
   bool master = false;                          ///< whether it answered the last time
   std::vector<std::string> detectors;           ///< see detectorsOf()
   std::shared_ptr<const TreatmentSetup> setup;  ///< null if there is none
+  std::string data_folder;                      ///< where a CT may come from that the setup does not name
   std::string setup_fault;                      ///< why there is none, for people
 };
 

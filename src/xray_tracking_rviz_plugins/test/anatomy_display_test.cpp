@@ -217,7 +217,8 @@ TEST_F(AnatomyDisplayTest, IsOfTheCtThatTheRegistrationHasLoaded)
   std_msgs::String volume;
   volume.data = "/nowhere/another.nrrd";
   volumes.publish(volume);
-  EXPECT_TRUE(spinUntil([&] { return status().find("/nowhere/another.nrrd") != std::string::npos; })) << status();
+  EXPECT_TRUE(spinUntil([&] { return status().find("/nowhere/another.nrrd: leads out of the") != std::string::npos; }))
+      << status();
   volume.data.clear();
   volumes.publish(volume);
   EXPECT_TRUE(spinUntil([&] { return status().find("CT: the neck phantom") != std::string::npos; }, 120.0)) << status();

@@ -34,12 +34,12 @@ int runCommand(int argc, char** argv, const CommandLine& command_line,
     const int style = po::command_line_style::default_style ^ po::command_line_style::allow_short;
     po::variables_map values;
     po::store(po::command_line_parser(argc, argv).options(all).positional(positional).style(style).run(), values);
-    po::notify(values);
     if (values.count("help") != 0)
     {
       std::cout << usage << "\n" << command_line.description << "\n" << command_line.options;
       return 0;
     }
+    po::notify(values);  // asks for what is required
     for (const std::string& argument : command_line.arguments)
     {
       if (values.count(argument) == 0)

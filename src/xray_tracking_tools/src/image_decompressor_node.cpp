@@ -24,7 +24,8 @@ void decompress(const sensor_msgs::CompressedImage& message, const std::string& 
   }
   catch (const std::invalid_argument& error)
   {
-    ROS_ERROR_STREAM_THROTTLE(1.0, detector << "/image_raw/compressed: " << error.what());
+    ROS_ERROR_STREAM_THROTTLE(1.0, detector << "/image_raw/compressed: " << error.what()
+                                            << "; the exposure is dropped: look at what compresses them");
   }
 }
 }  // namespace

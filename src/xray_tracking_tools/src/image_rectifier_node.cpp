@@ -59,7 +59,8 @@ private:
     }
     catch (const std::invalid_argument& error)
     {
-      ROS_ERROR_STREAM_THROTTLE(1.0, detector_ << "/distorted: " << error.what() << "; the exposure is dropped");
+      ROS_ERROR_STREAM_THROTTLE(1.0, detector_ << "/distorted: " << error.what()
+                                               << "; the exposure is dropped: look at the detector's driver");
     }
   }
 

@@ -55,7 +55,7 @@ TreatmentRoomPublisherRos::TreatmentRoomPublisherRos(ros::NodeHandle nh, ros::No
   }
   catch (const std::exception& e)
   {
-    ROS_ERROR("treatment_room_publisher stays idle: %s", e.what());
+    ROS_ERROR("treatment_room_publisher stays idle until it is started again with what it needs: %s", e.what());
   }
 }
 

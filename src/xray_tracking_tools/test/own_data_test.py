@@ -1,16 +1,23 @@
 #!/usr/bin/python3
-"""Runs every command of docs/own_data.md as it stands there, and judges the poses that come of it."""
+"""Runs every command of docs/own_data.md as it stands there, and judges the poses that come of it. The DICOM files that it
+runs them with are somebody's: nothing that says whose may be in what comes of them."""
 
 import csv
 import os
 import re
+import shutil
 import subprocess
+import sys
 import tempfile
 import unittest
 
 import numpy
+import pydicom
 import roslib.packages
 import rostest
+
+sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
+from patient_marks import dicom_files, mark, marks_in, name_by_uid  # noqa: E402
 
 DOCUMENT = os.path.join(roslib.packages.get_pkg_dir("xray_tracking_tools"), "../../docs/own_data.md")
 # Where make_exports has the phantom's origin, and its target [mm, LPS].
@@ -40,10 +47,29 @@ def places(path, method, point):
     return numpy.array(found)
 
 
+# The live graph on the plan's setup and the linac's images; and what refuses, whose messages are longest: two series in a
+# folder, a structure set and a plan of another CT.
+FURTHER = """rosrun xray_tracking_tools sequence_to_bag exports/linac exposures.bag
+roslaunch xray_tracking_bringup playback.launch bag:=$PWD/exposures.bag setup_file:=$PWD/exports/linac/sequence.yaml \
+rviz:=false supervised:=true exposures:=6 record:=$PWD/recorded.bag
+rosrun xray_tracking_tools check_bag recorded.bag
+! rosrun xray_tracking_tools setup_from_ct two_series refused.yaml
+! rosrun xray_tracking_tools setup_from_plan other_ct exports/linac/structures.dcm exports/linac/plan.dcm refused.yaml \
+--roi C4 --detectors exports/linac/detectors.yaml"""
+
+
 class OwnDataTest(unittest.TestCase):
+    def run_all(self, text, directory, environment, said):
+        for command in text.splitlines():
+            result = subprocess.run(["bash", "-c", command], cwd=directory, stdout=subprocess.PIPE, env=environment,
+                                    stderr=subprocess.STDOUT, universal_newlines=True, timeout=300)
+            self.assertEqual(result.returncode, 0, command + "\n" + result.stdout)
+            said.append(result.stdout)
+
     def test_every_command_leads_where_the_document_says(self):
         with tempfile.TemporaryDirectory() as folder:
-            ran = []
+            ran, said, marks = [], [], set()
+            environment = dict(os.environ, ROS_HOME=os.path.join(folder, "ros"), ROS_LOG_DIR=os.path.join(folder, "log"))
             for language, place, text in blocks():
                 if language == "yaml":
                     self.assertLessEqual(len(text.splitlines()), 20, place)
@@ -51,11 +77,11 @@ class OwnDataTest(unittest.TestCase):
                         file.write(text)
                     continue
                 directory = folder if place == "make" else os.path.join(folder, place)
-                for command in text.splitlines():
-                    with self.subTest(command):
-                        result = subprocess.run(["bash", "-c", command], cwd=directory, stdout=subprocess.PIPE,
-                                                stderr=subprocess.STDOUT, universal_newlines=True, timeout=300)
-                        self.assertEqual(result.returncode, 0, result.stdout)
+                self.run_all(text, directory, environment, said)
+                if place == "make":
+                    marks = mark(folder)
+                    for name in ("biplane", "linac"):
+                        name_by_uid(os.path.join(folder, "exports", name, "ct"))
                 ran.append(place)
             self.assertEqual(ran, ["make", "exports/biplane", "exports/room", "exports/linac"])
             expected = places(os.path.join(folder, "standard_set/translation/gold_standard.csv"), None, TARGET)
@@ -67,6 +93,31 @@ class OwnDataTest(unittest.TestCase):
                     self.assertLess(numpy.linalg.norm(found - expected, axis=1).max(), MOST_MM)
                     self.assertTrue(os.path.exists(os.path.join(results, "report.html")))
                     self.assertTrue(os.path.exists(os.path.join(folder, place, "setup.png")))
+            self.assertGreater(len(marks), 100)
+            marks |= self.make_refused(folder)
+            self.run_all(FURTHER, folder, environment, said)
+            with open(os.path.join(folder, "said.txt"), "w", encoding="utf-8") as file:
+                file.writelines(said)
+            for words in ("Warning: In", "WARNING: In", "gdcm", "itk::"):
+                self.assertFalse([text for text in said if words in text], words)
+            inputs = set(dicom_files(folder))
+            self.assertEqual(sorted(set(marks_in(folder, marks, inputs))), [])
+
+    @staticmethod
+    def make_refused(folder):
+        """Two series in one folder, and one of another frame of reference. @return their marks"""
+        ct = os.path.join(folder, "exports", "linac", "ct")
+        for name in ("two_series", "other_ct"):
+            shutil.copytree(ct, os.path.join(folder, name))
+        other = list(dicom_files(os.path.join(folder, "other_ct")))
+        for path in other:
+            data = pydicom.dcmread(path)
+            data.SeriesInstanceUID = data.SeriesInstanceUID[:-2] + ".2"
+            data.FrameOfReferenceUID = data.FrameOfReferenceUID[:-2] + ".2"
+            data.save_as(path)
+            data.SOPInstanceUID = data.SOPInstanceUID[:-2] + ".2"
+            data.save_as(os.path.join(folder, "two_series", f"CT.{data.SOPInstanceUID}.dcm"))
+        return mark(os.path.join(folder, "other_ct"))
 
 
 if __name__ == "__main__":

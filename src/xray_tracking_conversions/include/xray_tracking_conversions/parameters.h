@@ -88,7 +88,9 @@ public:
       if (name.compare(0, name_space.size(), name_space) == 0 && read_.count(name) == 0 &&
           name != name_space + "diagnostic_period" && name != name_space + RestartFile::kToken)
       {
-        ROS_WARN_STREAM("parameter " << name << " is set, but there is none of this name: it has no effect");
+        ROS_WARN_STREAM("parameter "
+                        << name
+                        << " is set, but there is none of this name: it has no effect; mend its name, or leave it out");
       }
     }
   }

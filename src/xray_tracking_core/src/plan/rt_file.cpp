@@ -4,6 +4,7 @@
 #include <stdexcept>
 
 #include "../volume/dicom_extent.h"
+#include "../volume/short_uids.h"
 
 namespace xray_tracking
 {
@@ -26,7 +27,7 @@ std::string inWords(const std::string& modality)
 
 void failRt(const std::string& path, const std::string& what)
 {
-  throw std::runtime_error(path + ": " + what);
+  throw std::runtime_error(withShortUids(path + ": " + what));
 }
 
 DicomData readRtFile(const std::string& path, const std::string& modality)

@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "../volume/dicom_file.h"
+#include "../volume/short_uids.h"
 #include "xray_formats.h"
 
 namespace xray_tracking
@@ -25,7 +26,7 @@ constexpr double kSameSpacing = 0.01;
 
 [[noreturn]] void fail(const std::string& path, const std::string& what)
 {
-  throw std::runtime_error(path + ": " + what);
+  throw std::runtime_error(withShortUids(path + ": " + what));
 }
 
 void checkSpacing(const DicomData& header, const ProjectionGeometry& detector, const std::string& path)

@@ -29,6 +29,12 @@ public:
     {
       throw std::runtime_error(path + ": missing or not readable");
     }
+    std::error_code error;
+    if (const std::uintmax_t bytes = std::filesystem::file_size(path, error); !error && bytes > kMostBytes)
+    {
+      throw std::runtime_error(path + ": is " + std::to_string(bytes >> 20) + " MB, expected a table of " +
+                               std::to_string(kMostBytes >> 20) + " MB at most");
+    }
     next();
     if (!row_.empty() && row_.front().compare(0, 3, "\xEF\xBB\xBF") == 0)  // byte order mark
     {
@@ -118,6 +124,8 @@ public:
   [[noreturn]] void fail(const std::string& problem) const { throw std::runtime_error(where() + ": " + problem); }
 
 private:
+  static constexpr std::uintmax_t kMostBytes = 256 << 20;  // some million exposures
+
   std::string path_;
   std::ifstream file_;
   int line_number_ = 0;

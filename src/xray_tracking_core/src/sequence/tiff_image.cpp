@@ -124,6 +124,12 @@ void readTiles(TIFF* tiff, const std::string& path, cv::Mat& image)
   std::uint32_t columns = 0, rows = 0;
   TIFFGetField(tiff, TIFFTAG_TILEWIDTH, &columns);
   TIFFGetField(tiff, TIFFTAG_TILELENGTH, &rows);
+  constexpr std::uint32_t kLargestTile = 1 << 14;
+  if (columns > kLargestTile || rows > kLargestTile)
+  {
+    fail(path, "has tiles of " + std::to_string(columns) + " x " + std::to_string(rows) + " pixels, expected " +
+                   std::to_string(kLargestTile) + " at most");
+  }
   cv::Mat tile(static_cast<int>(rows), static_cast<int>(columns), image.type());
   if (static_cast<std::size_t>(TIFFTileSize(tiff)) != tile.total() * tile.elemSize())
   {
@@ -144,7 +150,7 @@ void readTiles(TIFF* tiff, const std::string& path, cv::Mat& image)
 }
 }  // namespace
 
-cv::Mat readTiff(const std::string& path)
+cv::Mat readTiff(const std::string& path, const cv::Size& expected)
 {
   // They print; what matters is thrown here.
   TIFFSetWarningHandler(nullptr);
@@ -174,10 +180,11 @@ cv::Mat readTiff(const std::string& path)
   {
     fail(path, "has " + std::to_string(layout.samples) + " channels, expected one");
   }
-  constexpr std::uint32_t kLargest = 1 << 16;
-  if (layout.columns < 1 || layout.rows < 1 || layout.columns > kLargest || layout.rows > kLargest)
+  if (layout.columns != static_cast<std::uint32_t>(expected.width) ||
+      layout.rows != static_cast<std::uint32_t>(expected.height))
   {
-    fail(path, "is " + std::to_string(layout.columns) + " x " + std::to_string(layout.rows) + " pixels");
+    fail(path, "is " + std::to_string(layout.columns) + " x " + std::to_string(layout.rows) + ": expected " +
+                   std::to_string(expected.width) + " x " + std::to_string(expected.height) + " pixels");
   }
   cv::Mat image(static_cast<int>(layout.rows), static_cast<int>(layout.columns), pixelType(layout, path));
   if (TIFFIsTiled(tiff.get()) != 0)

@@ -7,6 +7,7 @@
 #include <sstream>
 #include <stdexcept>
 
+#include "../volume/short_uids.h"
 #include "setup_node.h"
 #include "xray_tracking_core/plan/structure.h"
 #include "yaml_field.h"
@@ -330,6 +331,10 @@ std::string selfContainedSetup(const std::string& path)
   if (const YAML::Node detectors = root["detectors"]; detectors.IsScalar())
   {
     root["detectors"] = YAML::LoadFile(resolvePath(detectors.Scalar(), path))["detectors"];
+  }
+  if (!setup.ct_choice.series.empty())
+  {
+    root["ct_series"] = withShortUids(setup.ct_choice.series);  // it goes into bags
   }
   if (setup.target_structure)
   {

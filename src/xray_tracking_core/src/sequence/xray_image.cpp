@@ -1,4 +1,5 @@
 #include <array>
+#include <cstdint>
 #include <filesystem>
 #include <fstream>
 #include <sstream>
@@ -9,6 +10,7 @@
 #include <opencv2/imgcodecs.hpp>
 
 #include "../volume/dicom_file.h"
+#include "../volume/short_uids.h"
 #include "xray_formats.h"
 #include "xray_tracking_core/sequence/sequence.h"
 
@@ -26,7 +28,7 @@ constexpr double kFewestCounts = 32.0;
 
 [[noreturn]] void fail(const std::string& path, const std::string& what)
 {
-  throw std::runtime_error(path + ": " + what);
+  throw std::runtime_error(withShortUids(path + ": " + what));
 }
 
 enum class Format
@@ -55,8 +57,33 @@ Format formatOf(const std::string& path)
   return Format::OTHER;
 }
 
-cv::Mat readPng(const std::string& path)
+/// Before anything is allocated for what a header claims.
+void requireSize(const Eigen::Vector2i& size, const Eigen::Vector2i& expected, const std::string& path)
 {
+  if (size != expected)
+  {
+    fail(path, "is " + std::to_string(size.x()) + " x " + std::to_string(size.y()) + ": expected " +
+                   std::to_string(expected.x()) + " x " + std::to_string(expected.y()) + " pixels");
+  }
+}
+
+cv::Mat readPng(const std::string& path, const Eigen::Vector2i& expected)
+{
+  // Signature, length and name of the first chunk, width, height.
+  std::array<unsigned char, 24> start{};
+  std::ifstream file(path, std::ios::binary);
+  file.read(reinterpret_cast<char*>(start.data()), start.size());
+  const auto number = [&start](std::size_t at)
+  {
+    const std::uint32_t bytes = std::uint32_t{ start[at] } << 24 | std::uint32_t{ start[at + 1] } << 16 |
+                                std::uint32_t{ start[at + 2] } << 8 | start[at + 3];
+    return static_cast<int>(bytes & 0x7fffffffU);
+  };
+  if (!file || std::string(start.begin() + 12, start.begin() + 16) != "IHDR")
+  {
+    fail(path, "not readable or truncated");
+  }
+  requireSize({ number(16), number(20) }, expected, path);
   cv::Mat image;
   try
   {
@@ -143,15 +170,16 @@ cv::Mat readXrayImage(const std::string& path, const ProjectionGeometry& detecto
   {
     fail(path, "missing");
   }
+  const Eigen::Vector2i& expected = detector.imageSize();
   cv::Mat values;
   bool floating = false;
   switch (formatOf(path))
   {
     case Format::PNG:
-      values = greyOf(readPng(path), path);
+      values = greyOf(readPng(path, expected), path);
       break;
     case Format::TIFF:
-      values = greyOf(readTiff(path), path);
+      values = greyOf(readTiff(path, { expected.x(), expected.y() }), path);
       floating = values.depth() >= CV_32F;
       break;
     case Format::OTHER:
@@ -162,12 +190,7 @@ cv::Mat readXrayImage(const std::string& path, const ProjectionGeometry& detecto
       }
       values = readDicomXray(path, detector, intensity.kind);
   }
-  const Eigen::Vector2i& expected = detector.imageSize();
-  if (values.cols != expected.x() || values.rows != expected.y())
-  {
-    fail(path, "is " + std::to_string(values.cols) + " x " + std::to_string(values.rows) + ": expected " +
-                   std::to_string(expected.x()) + " x " + std::to_string(expected.y()) + " pixels");
-  }
+  requireSize({ values.cols, values.rows }, expected, path);
   return countsOf(values, intensity.kind, floating, path);
 }
 }  // namespace xray_tracking

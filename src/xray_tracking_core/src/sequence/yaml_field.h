@@ -2,11 +2,14 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdint>
+#include <filesystem>
 #include <initializer_list>
 #include <optional>
 #include <set>
 #include <stdexcept>
 #include <string>
+#include <system_error>
 #include <type_traits>
 #include <utility>
 #include <vector>
@@ -23,6 +26,13 @@ class YamlField
 public:
   static YamlField fromFile(const std::string& path)
   {
+    std::error_code error;
+    const std::uintmax_t bytes = std::filesystem::file_size(path, error);
+    if (!error && bytes > kMostBytes)
+    {
+      throw std::runtime_error(path + ": is " + std::to_string(bytes >> 20) + " MB, expected keys with values in " +
+                               std::to_string(kMostBytes >> 20) + " MB at most");
+    }
     return rootOf(path, [&] { return YAML::LoadAllFromFile(path); });
   }
   /// @param name what stands for the file in messages, and where relative paths start
@@ -153,6 +163,7 @@ public:
   }
 
 private:
+  static constexpr std::uintmax_t kMostBytes = 16 << 20;
   static constexpr int kMostNodes = 1000000;  // aliases may stand for more than there is
   static constexpr int kDeepest = 64;
 

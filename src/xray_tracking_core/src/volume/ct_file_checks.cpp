@@ -4,10 +4,8 @@
 #include <cctype>
 #include <cstdint>
 #include <filesystem>
-#include <fstream>
 #include <initializer_list>
 #include <locale>
-#include <map>
 #include <optional>
 #include <sstream>
 #include <utility>
@@ -17,48 +15,25 @@
 #include <itkNrrdImageIO.h>
 
 #include "ct_error.h"
+#include "stored_volume.h"
+#include "text_header.h"
 
 namespace xray_tracking
 {
 namespace
 {
 namespace fs = std::filesystem;
-/// The fields of a text header up to the one that ends it, or to an empty line; without the spaces around them.
-struct TextHeader
-{
-  std::map<std::string, std::string> fields;
-  std::streamoff end = 0;  ///< where the header's last line ends [bytes]
-};
+/// What deflate takes a byte for, at most: more than a file can hold is not even allocated.
+constexpr std::uintmax_t kMostDeflated = 1032;
 
-TextHeader readTextHeader(const std::string& path, char separator, const std::string& last_field)
+/// @param data file with the voxels, which begin at `start` there; `least` bytes of it [bytes]
+void requireBytes(const std::string& path, const fs::path& data, std::uintmax_t start, std::uintmax_t least)
 {
-  const auto trimmed = [](const std::string& text)
+  if (fs::file_size(data) < start + least)
   {
-    const auto first = text.find_first_not_of(" \t\r");
-    return first == std::string::npos ? "" : text.substr(first, text.find_last_not_of(" \t\r") - first + 1);
-  };
-  TextHeader header;
-  std::ifstream file(path, std::ios::binary);
-  for (std::string line; std::getline(file, line) && !trimmed(line).empty();)
-  {
-    header.end = file.eof() ? static_cast<std::streamoff>(fs::file_size(path)) : std::streamoff(file.tellg());
-    const std::size_t at = line.find(separator);
-    if (at != std::string::npos && line[0] != '#')
-    {
-      const std::string key = trimmed(line.substr(0, at));
-      header.fields[key] = trimmed(line.substr(at + 1));
-      if (key == last_field)
-      {
-        break;
-      }
-    }
+    failCt(path, "truncated: " + data.string() + " has " + std::to_string(fs::file_size(data)) + " bytes, expected " +
+                     std::to_string(start + least));
   }
-  return header;
-}
-
-TextHeader readMetaImageHeader(const std::string& path)
-{
-  return readTextHeader(path, '=', "ElementDataFile");
 }
 
 void requireAllOfMetaImage(const itk::ImageIOBase& format, const std::string& path)
@@ -70,23 +45,65 @@ void requireAllOfMetaImage(const itk::ImageIOBase& format, const std::string& pa
   {
     return;  // many files, by a list or a pattern; ITK misses those that are not there
   }
-  std::uintmax_t expected = format.GetImageSizeInBytes();
+  std::uintmax_t expected = static_cast<std::uintmax_t>(format.GetImageSizeInBytes());
   if (header.fields["CompressedData"] == "True")
   {
+    const std::uintmax_t least = expected / kMostDeflated;
     expected = 0;  // some files do not say
     std::istringstream(header.fields["CompressedDataSize"]) >> expected;
+    expected = std::max(expected, least);
   }
-  const std::uintmax_t start = data == "LOCAL" ? static_cast<std::uintmax_t>(header.end) : 0;
-  if (fs::file_size(data_file) < start + expected)
+  requireBytes(path, data_file, data == "LOCAL" ? static_cast<std::uintmax_t>(header.end) : 0, expected);
+}
+
+void requireAllOfNrrd(const itk::ImageIOBase& format, const std::string& path)
+{
+  TextHeader header = readNrrdHeader(path);
+  const std::string data = dataFileOf(header);
+  const fs::path data_file = data.empty() ? fs::path(path) : fs::path(path).parent_path() / data;
+  if (!fs::is_regular_file(data_file))
   {
-    failCt(path, "truncated: " + data_file.string() + " has " + std::to_string(fs::file_size(data_file)) +
-                     " bytes, expected " + std::to_string(start + expected));
+    return;  // as above
+  }
+  const std::uintmax_t bytes = static_cast<std::uintmax_t>(format.GetImageSizeInBytes());
+  const std::string encoding = header.fields["encoding"];
+  requireBytes(path, data_file, data.empty() ? static_cast<std::uintmax_t>(header.end) : 0,
+               encoding == "raw" ? bytes : bytes / kMostDeflated);
+}
+
+/// ITK holds ten, and takes no notice of how many a header has.
+constexpr int kMostAxes = 10;
+
+/// Before anything is allocated for them, and before ITK takes the numbers for what fits its own.
+void requireBoundedSize(const TextHeader& header, const std::string& dimensions_field, const std::string& sizes_field,
+                        const std::string& path)
+{
+  const auto field = [&header](const std::string& name)
+  {
+    const auto found = header.fields.find(name);
+    return found == header.fields.end() ? std::string() : found->second;
+  };
+  std::istringstream sizes(field(sizes_field));
+  sizes.imbue(std::locale::classic());
+  std::size_t voxels = 1;
+  int count = 0;
+  for (std::size_t size = 0; sizes >> size; ++count)
+  {
+    voxels = size <= kMostVoxels && voxels <= kMostVoxels ? voxels * size : kMostVoxels + 1;
+  }
+  // How many there are to be, ITK says afterwards: voxels of several values are an axis more in NRRD.
+  if (count < 2 || count > kMostAxes || field(dimensions_field) != std::to_string(count) || !sizes.eof() ||
+      voxels > kMostVoxels)
+  {
+    failCt(path, dimensions_field + " is " + field(dimensions_field).substr(0, 80) + ", " + sizes_field + " " +
+                     field(sizes_field).substr(0, 80) + ", expected 3 and as many whole numbers, of " +
+                     std::to_string(kMostVoxels) + " voxels at most");
   }
 }
 
 void requireMillimetresOfNrrd(const std::string& path)
 {
-  TextHeader header = readTextHeader(path, ':', "");
+  TextHeader header = readNrrdHeader(path);
   if (header.fields.count("space directions") == 0 && header.fields.count("spacings") == 0)
   {
     failCt(path, "has neither space directions nor spacings: the size of a voxel is not known");
@@ -154,7 +171,8 @@ std::vector<Eigen::Vector3d> nrrdVectors(TextHeader& header, const std::string& 
 
 void requireUsableNrrdHeader(const std::string& path)
 {
-  TextHeader header = readTextHeader(path, ':', "");
+  TextHeader header = readNrrdHeader(path);
+  requireBoundedSize(header, "dimension", "sizes", path);
   if (!lpsFromSpace(header.fields["space"]))
   {
     failCt(path, "space is " + header.fields["space"] +
@@ -184,6 +202,7 @@ std::string lettersOf(const Eigen::Matrix3d& axes, bool from)
 void requireUsableMetaImageHeader(const std::string& path)
 {
   TextHeader header = readMetaImageHeader(path);
+  requireBoundedSize(header, "NDims", "DimSize", path);
   const std::string unit = header.fields["DistanceUnits"];
   if (!unit.empty() && unit != "mm" && unit != "?")
   {
@@ -251,6 +270,10 @@ void requireAllVoxels(const itk::ImageIOBase& format, const std::string& path)
   {
     requireAllOfMetaImage(format, path);
   }
+  else
+  {
+    requireAllOfNrrd(format, path);
+  }
 }
 
 VolumeGrid gridOf(const itk::ImageIOBase& format, const std::string& path)
@@ -258,6 +281,11 @@ VolumeGrid gridOf(const itk::ImageIOBase& format, const std::string& path)
   VolumeGrid grid;
   for (unsigned axis = 0; axis < 3; ++axis)
   {
+    if (format.GetDimensions(axis) > kMostVoxels)
+    {
+      failCt(path, "is " + std::to_string(format.GetDimensions(axis)) + " voxels wide, expected " +
+                       std::to_string(kMostVoxels) + " in all at most");
+    }
     grid.size[axis] = static_cast<int>(format.GetDimensions(axis));
     grid.patient_from_index.translation()[axis] = format.GetOrigin(axis);
     grid.patient_from_index.linear().col(axis) =
@@ -265,7 +293,7 @@ VolumeGrid gridOf(const itk::ImageIOBase& format, const std::string& path)
   }
   if (dynamic_cast<const itk::NrrdImageIO*>(&format))
   {
-    TextHeader header = readTextHeader(path, ':', "");
+    TextHeader header = readNrrdHeader(path);
     if (header.fields.count("space directions") > 0)
     {
       const Eigen::Vector3d signs = lpsFromSpace(header.fields["space"]).value();

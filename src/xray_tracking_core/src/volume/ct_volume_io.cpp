@@ -159,6 +159,11 @@ void requireUsableGrid(const VolumeGrid& grid, const std::string& path)
     message << "is " << grid.size.transpose() << " voxels, expected at least 2 along each of three axes";
     failCt(path, message.str());
   }
+  if (grid.size.cast<double>().prod() > static_cast<double>(kMostVoxels))
+  {
+    message << "is " << grid.size.transpose() << " voxels, expected " << kMostVoxels << " at most";
+    failCt(path, message.str());
+  }
   // Outside these bounds the file is not in millimetres.
   const Eigen::Vector3d spacing = grid.spacing();
   if (!(spacing.minCoeff() >= 0.01 && spacing.maxCoeff() <= 100.0) || !grid.patient_from_index.matrix().allFinite())

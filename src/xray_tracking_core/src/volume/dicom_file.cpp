@@ -17,6 +17,8 @@
 #include <itkObject.h>
 
 #include "dicom_extent.h"
+#include "short_uids.h"
+#include "stored_volume.h"
 
 namespace xray_tracking
 {
@@ -35,7 +37,7 @@ const gdcm::Tag kPixelRepresentation(0x0028, 0x0103);
 
 [[noreturn]] void fail(const std::string& file, const std::string& what)
 {
-  throw std::runtime_error(file + ": " + what);
+  throw std::runtime_error(withShortUids(file + ": " + what));
 }
 
 bool isPlain(const gdcm::File& file)
@@ -221,8 +223,13 @@ DicomPixels::DicomPixels(const std::string& path)
   {
     fail(path, "is " + std::to_string(columns_) + " x " + std::to_string(rows_) + " pixels");
   }
-  const std::size_t expected =
-      static_cast<std::size_t>(columns_) * rows_ * static_cast<std::size_t>(frames_) * allocated_ / 8;
+  const std::size_t samples_in_all = static_cast<std::size_t>(columns_) * rows_ * static_cast<std::size_t>(frames_);
+  if (samples_in_all > kMostVoxels)
+  {
+    fail(path, "is " + std::to_string(columns_) + " x " + std::to_string(rows_) + " pixels in " +
+                   std::to_string(frames_) + " frames, expected " + std::to_string(kMostVoxels) + " in all at most");
+  }
+  const std::size_t expected = samples_in_all * allocated_ / 8;
   std::size_t length = 0;
   if (isPlain(*file_))
   {

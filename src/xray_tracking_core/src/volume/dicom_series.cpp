@@ -23,7 +23,6 @@ namespace
 const gdcm::Tag kImageType(0x0008, 0x0008);
 const gdcm::Tag kSopClass(0x0008, 0x0016);
 const gdcm::Tag kModality(0x0008, 0x0060);
-const gdcm::Tag kSeriesDescription(0x0008, 0x103e);
 const gdcm::Tag kFrameType(0x0008, 0x9007);
 const gdcm::Tag kAnatomicalOrientationType(0x0010, 0x2210);
 const gdcm::Tag kCtFrameType(0x0018, 0x9329);
@@ -71,6 +70,10 @@ const std::vector<std::pair<const char*, gdcm::Tag>> kTraits{
   { "ContentTime", { 0x0008, 0x0033 } },
 };
 
+/// Those whose values are dates, or words that somebody typed: they are numbered, as labels go to logs and into setups.
+const std::set<std::string> kNumbered{ "ContrastBolusAgent", "SeriesDescription", "AcquisitionDateTime",
+                                       "AcquisitionDate" };
+
 /// Directions are written with few decimals.
 constexpr double kDirectionTolerance = 1e-3;
 // Of pixels, from micro-CT to a scout [mm].
@@ -80,6 +83,8 @@ constexpr double kMostSpacing = 20.0;
 constexpr double kPlaceTolerance = 0.05;
 /// Rounding allowed for is at most this share of the slice distance: a missing slice must show.
 constexpr double kMostRounding = 0.3;
+/// Of one file; more would be a spine in steps of 0.05 mm.
+constexpr int kMostFrames = 20000;
 /// Fewer slices than this are no volume where there is something larger.
 constexpr std::size_t kFewSlices = 4;
 
@@ -95,7 +100,6 @@ struct Slice
   Eigen::Vector3i decimals;     ///< that the position is written with
   double slope = 1.0, intercept = 0.0;
   bool has_rescale = false;
-  std::string description;
   std::string frame_of_reference;
   std::vector<std::string> traits;  ///< in the order of kTraits; the last one is the orientation in words
 };
@@ -290,7 +294,6 @@ Slice readSlice(const FrameData& data, const std::string& file, int frame)
     failCt(file, "AnatomicalOrientationType is " + anatomy + ", expected BIPED");
   }
   readRescale(data, slice);
-  slice.description = data.text(kSeriesDescription);
   slice.frame_of_reference = data.text(kFrameOfReference);
   for (const auto& [name, tag] : kTraits)
   {
@@ -312,7 +315,13 @@ void addSlices(const DicomData& header, const std::string& file, std::map<std::s
   }
   const std::vector<DicomData> shared = header.items(kSharedGroups);
   const std::vector<DicomData> per_frame = header.items(kPerFrameGroups);
-  const int frames = static_cast<int>(std::clamp(header.number(kFrames).value_or(1.0), 1.0, 1e6));
+  const double claimed = header.number(kFrames).value_or(1.0);
+  if (!(claimed <= kMostFrames))
+  {
+    failCt(file,
+           "NumberOfFrames is " + header.text(kFrames) + ", expected " + std::to_string(kMostFrames) + " at most");
+  }
+  const int frames = static_cast<int>(std::max(claimed, 1.0));
   for (int frame = 0; frame < frames; ++frame)
   {
     const auto own = static_cast<std::size_t>(frame) < per_frame.size()
@@ -496,7 +505,8 @@ std::vector<Stack> stacksOf(const std::string& uid, const std::vector<Slice>& sl
     std::vector<Stack> stacks;
     for (const auto& [value, part] : parts)
     {
-      stacks.push_back(makeStack(uid + " " + name + "=" + value, part));
+      const std::string shown = kNumbered.count(name) > 0 ? "#" + std::to_string(stacks.size() + 1) : value;
+      stacks.push_back(makeStack(uid + " " + name + "=" + shown, part));
     }
     if (std::all_of(stacks.begin(), stacks.end(), [](const Stack& stack) { return stack.fault.empty(); }))
     {
@@ -512,8 +522,8 @@ std::string listOf(const std::vector<Stack>& stacks, const PassedOver& others)
   for (const Stack& stack : stacks)
   {
     const Slice& first = stack.slices.front();
-    list << "\n  ct_series: '" << stack.label << "'  # \"" << first.description << "\", " << stack.slices.size()
-         << " slices, " << first.traits.back() << ", ";
+    list << "\n  ct_series: '" << withShortUids(stack.label) << "'  # " << stack.slices.size() << " slices, "
+         << first.traits.back() << ", ";
     if (stack.fault.empty())
     {
       const Eigen::Vector3d spacing = stack.grid.spacing();
@@ -549,8 +559,13 @@ Stack chosen(std::vector<Stack> stacks, const std::string& series, const PassedO
   {
     failCt(path, "no DICOM CT image in this folder" + (others.counts.empty() ? "" : "; found: " + others.text()));
   }
+  // In full, or as the list has it.
   const auto isNamed = [&](const Stack& stack)
-  { return stack.label == series || stack.label.compare(0, series.size() + 1, series + " ") == 0; };
+  {
+    const std::string listed = withShortUids(stack.label);
+    return stack.label == series || listed == series || stack.label.compare(0, series.size() + 1, series + " ") == 0 ||
+           listed.compare(0, series.size() + 1, series + " ") == 0;
+  };
   std::vector<Stack> candidates;
   if (!series.empty())
   {
@@ -621,8 +636,9 @@ void requireReadable(const std::vector<std::filesystem::path>& unreadable, const
   }
 }
 
-StoredVolume readPixels(const Stack& stack)
+StoredVolume readPixels(const Stack& stack, const std::string& path)
 {
+  requireUsableGrid(stack.grid, path);
   StoredVolume stored;
   stored.volume.grid = stack.grid;
   stored.volume.hu.reserve(stack.grid.voxelCount());
@@ -721,7 +737,7 @@ Stack findStack(const std::string& path, const std::string& series)
 
 StoredVolume readDicomCt(const std::string& path, const std::string& series)
 {
-  return readPixels(findStack(path, series));
+  return readPixels(findStack(path, series), path);
 }
 
 CtFrame readCtFrame(const std::string& path, const std::string& series)

@@ -244,6 +244,19 @@ bool isNifti(const std::string& path)
   return NiftiHeader(path).valid();
 }
 
+std::vector<std::string> niftiFiles(const std::string& path)
+{
+  std::vector<std::string> files{ path };
+  for (const char* const part : { ".hdr", ".img" })
+  {
+    if (const std::string file = niftiPart(path, part); file != path)
+    {
+      files.push_back(file);
+    }
+  }
+  return files;
+}
+
 StoredVolume readNifti(const std::string& path, NiftiForm form)
 {
   const NiftiHeader header(path);

@@ -243,8 +243,9 @@ bool DetectorSimulatorRos::takeStamp(ros::Time& stamp)
     {
       return true;
     }
-    ROS_WARN_THROTTLE(kWarnPeriod,
-                      "detector simulator: waiting for the clock to go on (use_sim_time without a clock?)");
+    ROS_WARN_THROTTLE(
+        kWarnPeriod,
+        "detector simulator: waiting for the clock to go on: start what publishes /clock, or unset /use_sim_time");
     if (!sleepUntil(Clock::now() + std::chrono::milliseconds(5)))
     {
       return false;
@@ -257,7 +258,8 @@ void DetectorSimulatorRos::reportPace(double seconds_since_last)
   const double achieved = 1.0 / seconds_since_last;
   if (achieved < 0.9 * rate_)
   {
-    ROS_WARN_THROTTLE(kWarnPeriod, "detector simulator: %.2f exposures a second, %.2f asked for; one takes %.3f s",
+    ROS_WARN_THROTTLE(kWarnPeriod,
+                      "detector simulator: %.2f exposures a second, %.2f asked for; one takes %.3f s: lower its rate",
                       achieved, rate_, seconds(compute_time_));
   }
   const std::lock_guard<std::mutex> lock(mutex_);
@@ -316,7 +318,7 @@ void DetectorSimulatorRos::produceDiagnostics(diagnostic_updater::DiagnosticStat
     case State::RUNNING:
       if (published_ > 1 && achieved_rate_ < 0.9 * asked_rate_)
       {
-        status.summary(DiagnosticStatus::WARN, "slower than asked for");
+        status.summary(DiagnosticStatus::WARN, "slower than asked for: lower its rate");
       }
       else
       {

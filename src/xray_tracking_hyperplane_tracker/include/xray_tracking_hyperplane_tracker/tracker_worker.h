@@ -13,6 +13,7 @@
 
 #include <xray_tracking_msgs/TrackedRegion.h>
 
+#include "xray_tracking_conversions/log_throttle.h"
 #include "xray_tracking_conversions/restart_file.h"
 #include "xray_tracking_core/sequence/stamp_policy.h"
 #include "xray_tracking_hyperplane_tracker/bounded_queue.h"
@@ -112,6 +113,7 @@ private:
   ros::SteadyTime kept_at_;
   ros::SteadyTime training_end_;
   StampPolicy stamps_;
+  LogThrottle throttle_;
   std::string logged_error_;
   std::uint8_t logged_state_ = TrackedRegion::UNTRAINED;
 

@@ -7,6 +7,28 @@
 
 namespace xray_tracking
 {
+namespace
+{
+/// What a person can do, where that helps.
+std::string adviceFor(std::uint8_t state)
+{
+  using Region = xray_tracking_msgs::TrackedRegion;
+  switch (state)
+  {
+    case Region::UNTRAINED:
+      return ": needs an exposure that shows its region, or another one drawn (train_region)";
+    case Region::LOST:
+      return ": it is being looked for; if it stays away, look at the image, and draw the region anew";
+    case Region::DEGRADED:
+      return ": look for what lies over the region in the image; no tracked pose of it opens the gate";
+    case Region::BLIND:
+      return ": look whether X-rays are on, and blades and panel are as planned";
+    default:
+      return "";
+  }
+}
+}  // namespace
+
 void TrackerStatus::noteArrival(const ros::SteadyTime& time)
 {
   const std::lock_guard<std::mutex> lock(mutex_);
@@ -64,22 +86,26 @@ void TrackerStatus::report(const std::string& topic, double image_timeout, const
   }
   else if (!now.last_arrival)
   {
-    status.summary(DiagnosticStatus::WARN, "no exposure on " + topic + " yet");
+    status.summary(DiagnosticStatus::WARN,
+                   "no exposure on " + topic + " yet: does the detector's driver run, and publish there?");
   }
   else if (silence > image_timeout)
   {
-    status.summaryf(DiagnosticStatus::WARN, "no exposure on %s for %.1f s", topic.c_str(), silence);
+    status.summaryf(DiagnosticStatus::WARN,
+                    "no exposure on %s for %.1f s: look at the detector's driver and its connection", topic.c_str(),
+                    silence);
   }
   else if (newly_overdue > 0)
   {
     status.summary(DiagnosticStatus::WARN,
-                   "too slow: " + std::to_string(newly_overdue) + " exposures dropped since the last report");
+                   "too slow: " + std::to_string(newly_overdue) +
+                       " exposures dropped since the last report: lower the rate, or give it a processor");
   }
   else
   {
     status.summary(
         now.state == xray_tracking_msgs::TrackedRegion::TRACKING ? DiagnosticStatus::OK : DiagnosticStatus::WARN,
-        stateName(now.state));
+        stateName(now.state) + adviceFor(now.state));
   }
   status.add("state", stateName(now.state));
   status.add("correlation", now.correlation);

@@ -302,13 +302,22 @@ bool TrackerWorker::acceptStamp(const ros::Time& stamp)
   const Verdict verdict = stamps_.take(nanosecondsFromTime(stamp), nanosecondsFromTime(ros::Time::now()));
   if (verdict == Verdict::FUTURE || verdict == Verdict::REPEATED_OR_LATE)
   {
-    ROS_WARN_STREAM_THROTTLE(1.0, name_ << " drops an exposure: " << stamps_.why());
+    if (throttle_.due("dropped"))
+    {
+      ROS_WARN_STREAM(
+          name_ << " drops an exposure: " << stamps_.why()
+                << "; check the detector's and this computer's clocks, and that nobody else publishes there");
+    }
     status_.noteBadStamp();
     return false;
   }
   if (verdict == Verdict::RESTART)
   {
-    ROS_WARN_STREAM(name_ << " starts anew: " << stamps_.why());
+    if (throttle_.due("restart"))
+    {
+      ROS_WARN_STREAM(name_ << " starts anew: " << stamps_.why()
+                            << "; unless a bag is played again, check the detector's and this computer's clocks");
+    }
     if (tracker_)
     {
       tracker_->startAnew();
@@ -418,18 +427,24 @@ void TrackerWorker::noteReference(const sensor_msgs::ImageConstPtr& image)
   if (inside != tracker_->wantedRegion())
   {
     ROS_WARN_STREAM(name_ << " tracks " << inside.width << " x " << inside.height << " at (" << inside.x << ", "
-                          << inside.y << "), the part of its region inside the X-ray field");
+                          << inside.y
+                          << "), the part of its region inside the X-ray field; if that shows too little of "
+                          << "the target, open the blades or draw another region");
   }
 }
 
 void TrackerWorker::tell(const TrackedRegion& result, const std::string& error)
 {
-  if (error != logged_error_ && !error.empty())
+  if (error.empty())
+  {
+    logged_error_.clear();
+  }
+  else if (error != logged_error_ && throttle_.due("error"))
   {
     ROS_ERROR_STREAM(name_ << ", exposure of " << result.header.stamp << ": " << error);
+    logged_error_ = error;
   }
-  logged_error_ = error;
-  if (result.state != logged_state_)
+  if (result.state != logged_state_ && throttle_.due(stateName(result.state)))
   {
     ROS_INFO_STREAM(name_ << " is " << stateName(result.state) << " (correlation " << result.correlation << ", quality "
                           << result.quality << ")" << (result.fault.empty() ? "" : ": ") << result.fault);

@@ -2,6 +2,7 @@
 
 #include <ros/ros.h>
 
+#include "xray_tracking_conversions/log_throttle.h"
 #include "xray_tracking_motion_estimation/beam_gate.h"
 
 namespace xray_tracking
@@ -14,7 +15,7 @@ public:
   explicit BeamGatePublisher(ros::NodeHandle nh);
 
   /// To be called at every change, for every exposure, and every kPeriod by a watchdog on the monotonic clock. Logs
-  /// changes of the reason.
+  /// when it opens and closes, and changes of the reason, each once a second.
   /// @param exposure stamp of the latest exposure; @param now monotonic clock [ns]
   void publish(const BeamGate& gate, const ros::Time& exposure, std::int64_t now);
 
@@ -23,5 +24,6 @@ public:
 private:
   ros::Publisher publisher_;
   GateReason logged_ = GateReason::NO_EXPOSURE;
+  LogThrottle throttle_;
 };
 }  // namespace xray_tracking

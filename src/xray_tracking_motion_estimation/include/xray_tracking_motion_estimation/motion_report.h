@@ -3,11 +3,13 @@
 #include <cstddef>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include <diagnostic_updater/diagnostic_updater.h>
 #include <ros/ros.h>
 
+#include "xray_tracking_conversions/log_throttle.h"
 #include "xray_tracking_motion_estimation/motion_monitor.h"
 
 namespace xray_tracking
@@ -53,6 +55,8 @@ private:
   void logMotion();
 
   std::optional<MotionDecision> last_;
+  std::optional<std::pair<MotionState, PoseSource>> logged_motion_;
+  LogThrottle throttle_;
   std::string logged_reason_;
   std::vector<Logged> logged_;
   std::size_t drops_at_last_warning_ = 0;

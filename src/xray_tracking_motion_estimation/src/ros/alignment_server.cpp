@@ -102,7 +102,9 @@ void AlignmentServer::finish(const ClaimOutcome& outcome)
   Server::GoalHandle handle = *goal;
   if (!outcome.refusal.empty())
   {
-    ROS_WARN_STREAM("a stated pose is not accepted, and everything stays as it was: " << outcome.refusal);
+    ROS_WARN_STREAM("a stated pose is not accepted, and everything stays as it was: " << outcome.refusal
+                                                                                      << "; lay the overlay over "
+                                                                                      << "the images again");
     handle.setAborted(refused(outcome.refusal), outcome.refusal);
     return;
   }

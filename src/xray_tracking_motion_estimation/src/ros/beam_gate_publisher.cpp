@@ -40,7 +40,8 @@ BeamGatePublisher::BeamGatePublisher(ros::NodeHandle nh) : publisher_(nh.adverti
 
 void BeamGatePublisher::publish(const BeamGate& gate, const ros::Time& exposure, std::int64_t now)
 {
-  if (gate.reason() != logged_)
+  const bool turned = gate.open() != (logged_ == GateReason::NONE);
+  if (gate.reason() != logged_ && (throttle_.due(gateReasonName(gate.reason())) || turned))
   {
     logged_ = gate.reason();
     if (gate.open())

@@ -120,7 +120,7 @@ void MotionEstimationRos::start()
   const PoseVerificationOptions& verification = parameters_.monitor.gate.verification;
   ROS_WARN_STREAM_COND(verification.registration && verification.initial_pose_verified,
                        "gate/initial_pose_verified counts for nothing while refinement/mode is not never: the "
-                       "registration has to confirm the initial pose");
+                       "registration has to confirm the initial pose; leave it out");
   setup_ = loadTreatmentSetup(parameters_.setup_file);
   shape_ = std::async(parameters_.bone_shape ? std::launch::async : std::launch::deferred,
                       [setup = setup_, bone = parameters_.bone_shape]
@@ -199,8 +199,9 @@ void MotionEstimationRos::subscribe(View& view, std::size_t index)
           const bool learnt = response && response->status == TrainRegion::Response::OK;
           ROS_INFO_STREAM_COND(learnt,
                                view.name << " has learnt its region anew where the registration sees the target");
-          ROS_WARN_STREAM_COND(
-              !learnt, view.name << " has not learnt its region anew: " << (response ? response->message : why));
+          ROS_WARN_STREAM_COND(!learnt,
+                               view.name << " has not learnt its region anew: " << (response ? response->message : why)
+                                         << "; draw it by hand if this lasts");
         });
   }
 }
@@ -231,7 +232,10 @@ void MotionEstimationRos::trackedRegionCb(const TrackedRegion::ConstPtr& message
   if (assembler_->restarted())
   {
     started_ = first_heard_ = timeFromNanoseconds(assembler_->stamp());
-    ROS_WARN_STREAM("exposures start again at " << started_ << ": forgetting the earlier ones");
+    ROS_WARN_STREAM_THROTTLE(1.0, "exposures start again at "
+                                      << started_
+                                      << ": forgetting the earlier ones; unless a bag is played again, look "
+                                      << "at the detectors' and this computer's clocks");
     // A bag that is played again begins with the patient where it began. A clock that was set, or old exposures that
     // are sent once more, find the patient anywhere, and the trackers learn their templates there.
     monitor_->restart(ros::Time::isSimTime()

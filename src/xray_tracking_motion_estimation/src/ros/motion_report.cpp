@@ -4,6 +4,29 @@
 
 namespace xray_tracking
 {
+namespace
+{
+/// What a person can do, where the reason does not say it.
+std::string adviceFor(MotionState state)
+{
+  switch (state)
+  {
+    case MotionState::LOST:
+      return "; if it lasts, look at the images and draw the regions anew";
+    case MotionState::INCONSISTENT:
+      return "; if it lasts, look at the outlines, and whether a panel has moved";
+    case MotionState::NO_REFERENCE:
+      return "; wait for a registration, align by hand, or restart with the patient at the initial pose";
+    case MotionState::BAD_STAMP:
+      return "; set the detectors' and this computer's clocks alike";
+    case MotionState::UNREGISTERED:
+      return "; if it lasts, look at the registration's diagnostics";
+    default:
+      return "";
+  }
+}
+}  // namespace
+
 void MotionReport::add(const MotionDecision& decision)
 {
   ++exposures_;
@@ -11,10 +34,12 @@ void MotionReport::add(const MotionDecision& decision)
   registered_ += decision.source == PoseSource::REGISTERED ? 1 : 0;
   differing_ += decision.views_differ ? 1 : 0;
   last_exposure_ = ros::SteadyTime::now();
-  const bool changed = !last_ || last_->state != decision.state || last_->source != decision.source;
   last_ = decision;
-  if (changed)
+  // What is logged is what holds for a second and more: views may come and go with every exposure.
+  const std::pair motion(decision.state, decision.source);
+  if (logged_motion_ != motion && throttle_.due(motionStateName(motion.first) + std::to_string(int(motion.second))))
   {
+    logged_motion_ = motion;
     logMotion();
   }
 }
@@ -51,7 +76,8 @@ void MotionReport::log(const MotionMonitor& monitor, const std::vector<ViewRepor
       logged.silent = view.silent;
       ROS_WARN_STREAM_COND(view.silent, "nothing arrives on "
                                             << view.topic << " while other detectors send: "
-                                            << (views.size() > 2 ? "it is not waited for" : "no pose until it does"));
+                                            << (views.size() > 2 ? "it is not waited for" : "no pose until it does")
+                                            << "; look at its detector's driver and tracker");
     }
     if (view.camera_info_fault != logged.fault)
     {
@@ -73,7 +99,9 @@ void MotionReport::log(const MotionMonitor& monitor, const std::vector<ViewRepor
   const std::size_t drops = counts.incomplete + counts.duplicates + counts.late;
   ROS_WARN_STREAM_COND(drops != drops_at_last_warning_,
                        "dropped so far: " << counts.incomplete << " exposures that lack a view, " << counts.duplicates
-                                          << " duplicates, " << counts.late << " late messages");
+                                          << " duplicates, " << counts.late
+                                          << " late messages; look whether all detectors stamp alike, and the network "
+                                          << "is quick enough");
   drops_at_last_warning_ = drops;
 }
 
@@ -84,7 +112,8 @@ void MotionReport::diagnose(diagnostic_updater::DiagnosticStatusWrapper& status,
   const bool ok = last_ && last_->state == MotionState::OK;
   if (!last_)
   {
-    status.summary(DiagnosticStatus::WARN, "no exposure so far");
+    status.summary(DiagnosticStatus::WARN,
+                   "no exposure so far: do all detectors send, and all trackers answer (tracked_region)?");
   }
   else if (ok)
   {
@@ -93,19 +122,19 @@ void MotionReport::diagnose(diagnostic_updater::DiagnosticStatusWrapper& status,
   else
   {
     status.summary(last_->state == MotionState::WAITING ? DiagnosticStatus::WARN : DiagnosticStatus::ERROR,
-                   std::string(motionStateName(last_->state)) + ": " + last_->reason);
+                   std::string(motionStateName(last_->state)) + ": " + last_->reason + adviceFor(last_->state));
   }
   if (ok && last_->views_differ)
   {
     status.mergeSummary(DiagnosticStatus::WARN,
                         "the views differ by more than those of a rigid target: surroundings "
-                        "that move otherwise, rotation or a fault");
+                        "that move otherwise, rotation or a fault; look at the outlines, and that no panel has moved");
   }
   for (std::size_t i = 0; i < views.size(); ++i)
   {
     if (views[i].silent)
     {
-      status.mergeSummary(DiagnosticStatus::WARN, views[i].name + " is silent");
+      status.mergeSummary(DiagnosticStatus::WARN, views[i].name + " is silent: look at its driver and tracker");
     }
     if (ok && monitor.tracks().doubt(i).state != MotionState::OK)
     {

@@ -13,6 +13,7 @@ namespace xray_tracking
 struct RegistrationParameters
 {
   std::string setup_file;
+  std::string data_folder;         ///< of CTs that are asked for; empty: usualDataFolder()
   std::string source = "phantom";  ///< or "ct"
   int bodies = 2;
   std::string mask = "bone";  ///< or "labels", "box" or "roi"

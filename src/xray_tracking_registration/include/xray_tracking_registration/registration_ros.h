@@ -51,6 +51,8 @@ private:
   /// Loads a CT, or the phantom where the path is empty, and makes it the one in use. @return why it could not; empty
   /// if it could
   std::string load(const std::string& ct_path);
+  /// The same of a path that somebody asks for: below the data folder alone.
+  std::string loadAsked(const std::string& ct_path);
   BodyModel readBodies(const std::string& ct_path) const;
   std::shared_ptr<const Registration> makeRegistration(const std::string& ct_path) const;
 

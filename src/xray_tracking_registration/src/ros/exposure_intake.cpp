@@ -68,7 +68,7 @@ void ExposureIntake::subscribeTo(const std::string& topic,
 
 void ExposureIntake::warnOfDropped(const std::string& why) const
 {
-  ROS_WARN_STREAM_THROTTLE(1.0, name_ << " drops a message: " << why);
+  ROS_WARN_STREAM_THROTTLE(1.0, name_ << " drops a message: " << why << "; look at the detectors' drivers and clocks");
 }
 
 void ExposureIntake::takeCameraInfo(std::size_t detector, const sensor_msgs::CameraInfoConstPtr& camera_info)

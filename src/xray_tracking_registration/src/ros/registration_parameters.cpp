@@ -1,6 +1,7 @@
 #include "xray_tracking_registration/registration_parameters.h"
 
 #include <cmath>
+#include <filesystem>
 #include <stdexcept>
 
 #include "xray_tracking_conversions/conversions.h"
@@ -34,6 +35,9 @@ RegistrationParameters readRegistrationParameters(const ros::NodeHandle& pnh)
   RegistrationParameters parameters;
   ParameterReader reader(pnh);
   read(reader, "setup_file", parameters.setup_file);
+  read(reader, "data_folder", parameters.data_folder);
+  requireOption(parameters.data_folder.empty() || std::filesystem::is_directory(parameters.data_folder), "data_folder",
+                parameters.data_folder, "a folder, or none: the one that the setup's CT is in");
   read(reader, "source", parameters.source);
   requireOneOf("source", parameters.source, "phantom", "ct");
   read(reader, "bodies", parameters.bodies);

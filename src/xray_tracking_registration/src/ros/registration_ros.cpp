@@ -11,6 +11,7 @@
 #include "xray_tracking_conversions/conversions.h"
 #include "xray_tracking_core/image/attenuation.h"
 #include "xray_tracking_core/plan/structure.h"
+#include "xray_tracking_core/volume/data_folder.h"
 #include "xray_tracking_core/volume/neck_phantom.h"
 #include "xray_tracking_registration/refinement_messages.h"
 
@@ -33,6 +34,25 @@ CtVolume roiLabels(const TreatmentSetup& setup, const std::string& ct_path, cons
   const Structure structure = Structure::read(*setup.target_structure);
   structure.requireOn(readCtFrame(ct_path, setup.ct_choice.series));
   return structure.labels(grid);
+}
+
+/// What a person can do, where the reason does not say it.
+std::string adviceFor(std::uint8_t status)
+{
+  using Result = xray_tracking_msgs::RefinementResult;
+  switch (status)
+  {
+    case Result::UNRELIABLE:
+      return "; if it lasts, lay the overlay over the images: is it this patient, lying as planned?";
+    case Result::TIMED_OUT:
+      return "; if it lasts, raise time_budget, or give it processors";
+    case Result::NO_VOLUME:
+      return "; wait, or load a CT (load_volume)";
+    case Result::NO_EXPOSURE:
+      return "; look whether all detectors send images and camera_info with the same stamps";
+    default:
+      return "";
+  }
 }
 }  // namespace
 
@@ -117,7 +137,9 @@ void RegistrationRos::start()
   }
   sequence_.emplace(setup_.targetCentre());
   const std::string fault = load(parameters_.source == "ct" ? setup_.ct_path : "");
-  ROS_ERROR_STREAM_COND(!fault.empty(), "no registration: " << fault);
+  ROS_ERROR_STREAM_COND(
+      !fault.empty(),
+      "no registration: " << fault << "; load a CT (load_volume), or mend the setup file and start again");
   auto exposures =
       std::make_unique<ExposureIntake>(nh_, pnh_.getNamespace(), setup_, tf_buffer_, parameters_.queue_size);
   const std::lock_guard<std::mutex> lock(mutex_);
@@ -267,7 +289,9 @@ RegistrationRos::RefinementResult RegistrationRos::refine(const RefinementReques
       }
       if (run_ != found->run)
       {
-        ROS_WARN_STREAM("exposures start again: forgetting the earlier ones");
+        ROS_WARN_STREAM_THROTTLE(1.0,
+                                 "exposures start again: forgetting the earlier ones; unless a bag is played again, "
+                                 "look at the detectors' and this computer's clocks");
         run_ = found->run;
         sequence_->forget();
         published_.clear();
@@ -325,10 +349,31 @@ void RegistrationRos::publishRefined(std::int64_t stamp_ns, const RefinementResu
   refined.wall_time = ros::Duration((ros::SteadyTime::now() - arrival).toSec());
   refined_pose_publisher_.publish(refined);
   const bool success = result.status == RefinementResult::SUCCESS;
-  ROS_WARN_STREAM_COND(!success, "the exposure at " << refined.header.stamp << " is not refined: " << result.reason);
+  if (!success)
+  {
+    ROS_WARN_STREAM_THROTTLE(1.0, "the exposure at " << refined.header.stamp << " is not refined: " << result.reason
+                                                     << adviceFor(result.status));
+  }
   const std::lock_guard<std::mutex> lock(mutex_);
   ++exposures_;
   refined_ += success ? 1 : 0;
+}
+
+std::string RegistrationRos::loadAsked(const std::string& ct_path)
+{
+  std::string path;
+  try
+  {
+    path = ctBelow(ct_path, parameters_.data_folder.empty() ? usualDataFolder(setup_, parameters_.setup_file)
+                                                            : parameters_.data_folder);
+  }
+  catch (const std::exception& error)
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    loading_ = false;
+    return error.what();
+  }
+  return load(path);
 }
 
 bool RegistrationRos::loadVolumeCb(xray_tracking_msgs::LoadVolume::Request& request,
@@ -354,7 +399,7 @@ bool RegistrationRos::loadVolumeCb(xray_tracking_msgs::LoadVolume::Request& requ
     }
     loading_ = true;
   }
-  response.message = load(request.path);
+  response.message = loadAsked(request.path);
   response.success = response.message.empty();
   if (response.success)
   {
@@ -373,7 +418,8 @@ void RegistrationRos::diagnose(diagnostic_updater::DiagnosticStatusWrapper& stat
   }
   else if (last_result_ && last_result_->status != RefinementResult::SUCCESS)
   {
-    status.summary(DiagnosticStatus::WARN, "the last refinement: " + last_result_->reason);
+    status.summary(DiagnosticStatus::WARN,
+                   "the last refinement: " + last_result_->reason + adviceFor(last_result_->status));
   }
   else
   {
