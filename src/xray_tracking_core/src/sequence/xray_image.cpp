@@ -1,4 +1,5 @@
 #include <array>
+#include <cstdint>
 #include <filesystem>
 #include <fstream>
 #include <sstream>
@@ -55,8 +56,25 @@ Format formatOf(const std::string& path)
   return Format::OTHER;
 }
 
-cv::Mat readPng(const std::string& path)
+/// Of the header that a PNG file begins with.
+std::uint32_t pngNumber(const std::string& header, std::size_t at)
 {
+  std::uint32_t number = 0;
+  for (std::size_t n = at; n < at + 4; ++n)
+  {
+    number = number << 8 | static_cast<unsigned char>(header[n]);
+  }
+  return number;
+}
+
+cv::Mat readPng(const std::string& path, const ProjectionGeometry& detector)
+{
+  std::string header(24, '\0');
+  if (!std::ifstream(path, std::ios::binary).read(header.data(), static_cast<std::streamsize>(header.size())))
+  {
+    fail(path, "not readable or truncated");
+  }
+  requireSize(path, pngNumber(header, 16), pngNumber(header, 20), detector);
   cv::Mat image;
   try
   {
@@ -137,6 +155,16 @@ cv::Mat countsOf(const cv::Mat& values, IntensityModel::Kind kind, bool floating
 }
 }  // namespace
 
+void requireSize(const std::string& path, std::uint32_t columns, std::uint32_t rows, const ProjectionGeometry& detector)
+{
+  const Eigen::Vector2i& expected = detector.imageSize();
+  if (columns != static_cast<std::uint32_t>(expected.x()) || rows != static_cast<std::uint32_t>(expected.y()))
+  {
+    fail(path, "is " + std::to_string(columns) + " x " + std::to_string(rows) + ": expected " +
+                   std::to_string(expected.x()) + " x " + std::to_string(expected.y()) + " pixels");
+  }
+}
+
 cv::Mat readXrayImage(const std::string& path, const ProjectionGeometry& detector, const IntensityModel& intensity)
 {
   if (!std::filesystem::is_regular_file(path))
@@ -148,10 +176,10 @@ cv::Mat readXrayImage(const std::string& path, const ProjectionGeometry& detecto
   switch (formatOf(path))
   {
     case Format::PNG:
-      values = greyOf(readPng(path), path);
+      values = greyOf(readPng(path, detector), path);
       break;
     case Format::TIFF:
-      values = greyOf(readTiff(path), path);
+      values = greyOf(readTiff(path, detector), path);
       floating = values.depth() >= CV_32F;
       break;
     case Format::OTHER:
@@ -161,12 +189,6 @@ cv::Mat readXrayImage(const std::string& path, const ProjectionGeometry& detecto
         fail(path, "expected a PNG, TIFF or DICOM image");
       }
       values = readDicomXray(path, detector, intensity.kind);
-  }
-  const Eigen::Vector2i& expected = detector.imageSize();
-  if (values.cols != expected.x() || values.rows != expected.y())
-  {
-    fail(path, "is " + std::to_string(values.cols) + " x " + std::to_string(values.rows) + ": expected " +
-                   std::to_string(expected.x()) + " x " + std::to_string(expected.y()) + " pixels");
   }
   return countsOf(values, intensity.kind, floating, path);
 }

@@ -23,6 +23,9 @@ namespace xray_tracking
 namespace
 {
 namespace fs = std::filesystem;
+
+constexpr unsigned kMostVoxels = 65535;  // along an axis
+
 /// The fields of a text header up to the one that ends it, or to an empty line; without the spaces around them.
 struct TextHeader
 {
@@ -71,6 +74,7 @@ void requireAllOfMetaImage(const itk::ImageIOBase& format, const std::string& pa
     return;  // many files, by a list or a pattern; ITK misses those that are not there
   }
   std::uintmax_t expected = format.GetImageSizeInBytes();
+  requireHeld(path, fs::file_size(data_file), static_cast<double>(expected));
   if (header.fields["CompressedData"] == "True")
   {
     expected = 0;  // some files do not say
@@ -81,6 +85,16 @@ void requireAllOfMetaImage(const itk::ImageIOBase& format, const std::string& pa
   {
     failCt(path, "truncated: " + data_file.string() + " has " + std::to_string(fs::file_size(data_file)) +
                      " bytes, expected " + std::to_string(start + expected));
+  }
+}
+
+void requireAllOfNrrd(const itk::ImageIOBase& format, const std::string& path)
+{
+  TextHeader header = readTextHeader(path, ':', "");
+  // Else it is in other files, which ITK misses if they are not there.
+  if (header.fields.count("data file") + header.fields.count("datafile") == 0)
+  {
+    requireHeld(path, fs::file_size(path), static_cast<double>(format.GetImageSizeInBytes()));
   }
 }
 
@@ -251,6 +265,10 @@ void requireAllVoxels(const itk::ImageIOBase& format, const std::string& path)
   {
     requireAllOfMetaImage(format, path);
   }
+  else
+  {
+    requireAllOfNrrd(format, path);
+  }
 }
 
 VolumeGrid gridOf(const itk::ImageIOBase& format, const std::string& path)
@@ -258,6 +276,11 @@ VolumeGrid gridOf(const itk::ImageIOBase& format, const std::string& path)
   VolumeGrid grid;
   for (unsigned axis = 0; axis < 3; ++axis)
   {
+    if (format.GetDimensions(axis) > kMostVoxels)
+    {
+      failCt(path, "is " + std::to_string(format.GetDimensions(axis)) + " voxels long, expected at most " +
+                       std::to_string(kMostVoxels));
+    }
     grid.size[axis] = static_cast<int>(format.GetDimensions(axis));
     grid.patient_from_index.translation()[axis] = format.GetOrigin(axis);
     grid.patient_from_index.linear().col(axis) =

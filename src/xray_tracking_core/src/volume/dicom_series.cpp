@@ -257,18 +257,19 @@ Slice readSlice(const FrameData& data, const std::string& file, int frame)
   Slice slice;
   slice.file = file;
   slice.frame = frame;
-  slice.size.x() = static_cast<int>(data.vector<1>(kColumns, "Columns", file)[0]);
-  slice.size.y() = static_cast<int>(data.vector<1>(kRows, "Rows", file)[0]);
+  const Eigen::Vector2d size(data.vector<1>(kColumns, "Columns", file)[0], data.vector<1>(kRows, "Rows", file)[0]);
+  if (!(size.minCoeff() >= 1.0 && size.maxCoeff() <= 65535.0))
+  {
+    std::ostringstream message;
+    message << "Columns and Rows are " << size.x() << " and " << size.y() << ", expected 1 to 65535";
+    failCt(file, message.str());
+  }
+  slice.size = size.cast<int>();
   slice.spacing = data.vector<2>(kPixelSpacing, "PixelSpacing", file).reverse();
   // Negated so that NaN fails, too.
   if (!(slice.spacing.minCoeff() >= kLeastSpacing && slice.spacing.maxCoeff() <= kMostSpacing))
   {
     failCt(file, "PixelSpacing is " + data.text(kPixelSpacing) + ", expected mm between pixels, 0.01 to 20");
-  }
-  if (!(slice.size.minCoeff() >= 1))
-  {
-    failCt(file, "Columns and Rows are " + std::to_string(slice.size.x()) + " and " + std::to_string(slice.size.y()) +
-                     ", expected 1 or more");
   }
   slice.position = data.vector<3>(kPosition, "ImagePositionPatient", file);
   slice.decimals = decimalsOf(data.text(kPosition));
@@ -312,7 +313,15 @@ void addSlices(const DicomData& header, const std::string& file, std::map<std::s
   }
   const std::vector<DicomData> shared = header.items(kSharedGroups);
   const std::vector<DicomData> per_frame = header.items(kPerFrameGroups);
-  const int frames = static_cast<int>(std::clamp(header.number(kFrames).value_or(1.0), 1.0, 1e6));
+  const double claimed = header.number(kFrames).value_or(1.0);
+  const auto bytes = static_cast<double>(std::filesystem::file_size(file));
+  if (!(claimed <= std::min(bytes, 1e6)))
+  {
+    std::ostringstream message;
+    message << "NumberOfFrames is " << claimed << ", expected no more than a file of " << bytes << " bytes may have";
+    failCt(file, message.str());
+  }
+  const int frames = static_cast<int>(std::max(claimed, 1.0));
   for (int frame = 0; frame < frames; ++frame)
   {
     const auto own = static_cast<std::size_t>(frame) < per_frame.size()
