@@ -4,7 +4,6 @@ reader. Inputs that a fuzzer found lie beside them, with names that say what was
 import argparse
 import importlib.machinery
 import importlib.util
-import io
 import json
 import os
 import shutil
@@ -15,9 +14,6 @@ import zlib
 import numpy
 import PIL.Image
 import pydicom
-import rospy
-import sensor_msgs.msg
-import xray_tracking_msgs.msg
 
 HERE = os.path.dirname(os.path.abspath(__file__))
 
@@ -43,7 +39,7 @@ DISTORTED = DETECTORS.replace('- name: detector_b', '  distortion: {model: plumb
                               '\n- name: detector_b')
 SEQUENCES = {
     'table': 'ct: ct.nrrd\nframes: frames.csv\ngold_standard: gold_standard.csv\n'
-             'intensity: {kind: counts, offset: 10, air_counts: 40000}\nregions: {detector_a: [1, 1, 4, 3]}\n'
+             'intensity: {kind: counts, offset: 10, air_counts: 40000}\nregions: {detector_a: {x_offset: 1, y_offset: 1, width: 4, height: 3}}\n'
              + DETECTORS + POSE + BOX,
     'patterns': 'frames: {rate: 15, files: {detector_a: "a_*.png", detector_b: "b_[0-9].png"}}\n'
                 'intensity: {kind: attenuation}\npairing_tolerance: 0.01\nct_content: bone_in_air\n' + DISTORTED + POSE + BOX,
@@ -93,8 +89,8 @@ def views():
 
 
 def write_geometry(corpus):
-    for view in views():
-        EXPORTS.write_mayacam(view, corpus.path('mayacam', f'{view.name}.txt'))
+    for view, folder in zip(views(), ('mayacam', '../companions')):
+        EXPORTS.write_mayacam(view, corpus.path(folder, f'{view.name}.txt'))
     matrices = []
     for view in views():
         k, rotation, translation = view.camera()
@@ -108,12 +104,13 @@ def write_geometry(corpus):
     corpus.write('detectors', 'distorted.yaml', DISTORTED)
     image = numpy.arange(48, dtype=numpy.uint16).reshape(6, 8) * 1000
     EXPORTS.write_rtimage(views()[0], image, 1, corpus.path('dicom_geometry', 'rtimage.dcm'))
-    data = EXPORTS.dataset('XA', pydicom.uid.XRayAngiographicImageStorage, 1)
-    data.PositionerPrimaryAngle, data.PositionerSecondaryAngle = 30, -10
-    data.DistanceSourceToDetector, data.DistanceSourceToPatient = 1200, 800
-    data.ImagerPixelSpacing = [0.3, 0.3]
-    EXPORTS.pixels(data, image)
-    data.save_as(corpus.path('dicom_geometry', 'xa.dcm'), write_like_original=False)
+    for angle, folder in ((100, 'dicom_geometry'), (30, '../companions')):
+        data = EXPORTS.dataset('XA', pydicom.uid.XRayAngiographicImageStorage, 1)
+        data.PositionerPrimaryAngle, data.PositionerSecondaryAngle = angle, -10
+        data.DistanceSourceToDetector, data.DistanceSourceToPatient = 1200, 800
+        data.ImagerPixelSpacing = [30, 30]
+        EXPORTS.pixels(data, image)
+        data.save_as(corpus.path(folder, 'xa.dcm'), write_like_original=False)
 
 
 def write_images(corpus):
@@ -208,37 +205,28 @@ def write_plans(corpus):
     EXPORTS.write_plan(corpus.path('plan', 'one_beam.dcm'))
 
 
-def message_bytes(message):
-    buffer = io.BytesIO()
-    message.serialize(buffer)
-    return buffer.getvalue()
+def text(words):
+    """As the readers' Fields take one: its length in a byte, and its bytes."""
+    return bytes([len(words)]) + words.encode()
 
 
 def write_messages(corpus):
-    image = sensor_msgs.msg.Image(height=3, width=4, encoding='mono16', is_bigendian=1, step=8, data=bytes(range(24)))
-    corpus.write('image', 'mono16', message_bytes(image))
-    image = sensor_msgs.msg.Image(height=3, width=4, encoding='mono8', step=5, data=bytes(range(15)))
-    corpus.write('image', 'mono8', message_bytes(image))
+    image = struct.pack('<IIBI', 3, 4, 1, 8) + text('mono16') + bytes(range(24))
+    corpus.write('image', 'mono16', image)
+    corpus.write('image', 'mono8', struct.pack('<IIBI', 3, 4, 0, 5) + text('mono8') + bytes(range(15)))
     with open(corpus.path('png', 'mono16.png'), 'rb') as file:
-        packed = sensor_msgs.msg.CompressedImage(format='16UC1; png compressed', data=file.read())
-    corpus.write('compressed_image', 'png', message_bytes(packed))
+        corpus.write('compressed_image', 'png', text('16UC1; png compressed') + file.read())
     k, _, _ = views()[0].camera()
-    info = sensor_msgs.msg.CameraInfo(height=6, width=8, distortion_model='plumb_bob', D=[0.0] * 5)
-    info.K = k.ravel().tolist()
-    info.R = numpy.eye(3).ravel().tolist()
-    info.P = numpy.column_stack((k, numpy.zeros(3))).ravel().tolist()
-    corpus.write('camera_info', 'plain', message_bytes(info))
-    region = xray_tracking_msgs.msg.TrackedRegion(state=2, model=3, displacement_x=0.5, displacement_y=-0.25)
-    region.header.stamp = region.reference_stamp = rospy.Time(10)
-    region.region = sensor_msgs.msg.RegionOfInterest(x_offset=1, y_offset=1, width=4, height=3)
-    region.linear = [1.0, -0.001, 0.001, 1.0]
-    region.covariance = (numpy.diag([0.01, 0.01, 1e-6, 1e-6, 1e-6, 1e-6])).ravel().tolist()
-    corpus.write('tracked_region', 'found', message_bytes(region))
-    request = xray_tracking_msgs.msg.RefinementRequest()
-    request.seed.orientation.w = 1.0
-    request.search = 'near'
-    request.regions = [region.region] * 2
-    corpus.write('refinement_request', 'near', message_bytes(request))
+    info = struct.pack('<II', 6, 8) + k.astype('<f8').tobytes() + numpy.eye(3).tobytes() \
+        + numpy.column_stack((k, numpy.zeros(3))).astype('<f8').tobytes() + struct.pack('<6I', 0, 0, 0, 0, 0, 0) \
+        + text('plumb_bob') + bytes(40)
+    corpus.write('camera_info', 'plain', info)
+    region = struct.pack('<4I', 1, 1, 4, 3)
+    covariance = numpy.diag([0.01, 0.01, 1e-6, 1e-6, 1e-6, 1e-6])
+    corpus.write('tracked_region', 'found', struct.pack('<BBII', 2, 3, 10, 0) + region + struct.pack('<2d', 0.5, -0.25)
+                 + struct.pack('<4d', 1.0, -0.001, 0.001, 1.0) + covariance.tobytes() + text(''))
+    corpus.write('refinement_request', 'near', struct.pack('<7d', 0, 0, 0, 0, 0, 0, 1) + struct.pack('<3d', 0, 0, 0)
+                 + text('near') + bytes([2]) + region * 2)
     corpus.write('run_description', 'plain', json.dumps({
         'setup': DETECTORS + POSE + BOX, 'epoch_ns': 1699999999250000000, 'gold_standard': POSES,
         'versions': {'xray_tracking_tools': '1.0'}, 'parameters': {'/motion_estimation': {'rate': 15}}}))

@@ -3,13 +3,14 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <cstdint>
 #include <cstdlib>
+#include <cstring>
 #include <filesystem>
 #include <fstream>
 #include <stdexcept>
 #include <typeinfo>
 
-#include <ros/serialization.h>
 #include <sensor_msgs/CameraInfo.h>
 #include <sensor_msgs/CompressedImage.h>
 #include <sensor_msgs/Image.h>
@@ -150,7 +151,7 @@ GeometryImportOptions withPitch()
 
 void readMayaCam(const std::string& bytes)
 {
-  const std::string other = folder().write("b.txt", corpusFile("corpus/mayacam/detector_b.txt"));
+  const std::string other = folder().write("b.txt", corpusFile("companions/detector_b.txt"));
   importFrom({ folder().write("a.txt", bytes), other }, withPitch());
 }
 
@@ -179,8 +180,16 @@ void readDetectors(const std::string& bytes)
 
 void readDicomGeometry(const std::string& bytes)
 {
-  const std::string other = folder().write("b.dcm", corpusFile("corpus/dicom_geometry/xa.dcm"));
-  importFrom({ folder().write("a.dcm", bytes), other }, {});
+  GeometryImportOptions options;
+  options.flip_columns = { "detector_b" };
+  if (bytes.find("XA") != std::string::npos)
+  {
+    options.flip_columns.insert("detector_a");
+  }
+  const std::string other = folder().write("b.dcm", corpusFile("companions/xa.dcm"));
+  const std::string path = folder().write("a.dcm", bytes);
+  expected_name = folder().path();
+  importFrom({ path, other }, options);
 }
 
 void readImage(const std::string& bytes, const std::string& name)
@@ -212,8 +221,10 @@ void check(const CtVolume& volume)
 
 void readVolume(const std::string& path)
 {
-  refusalOf({ "labels", [](const std::string& volume) { check(readLabelMap(volume)); } }, path);
-  check(readCtVolume(path));
+  if (!refusalOf({ "labels", [](const std::string& volume) { check(readLabelMap(volume)); } }, path).empty())
+  {
+    check(readCtVolume(path));
+  }
 }
 
 void readNrrd(const std::string& bytes)
@@ -266,23 +277,53 @@ void readRunDescription(const std::string& bytes)
   treatmentSetupFromText(description.setup, kRunDescriptionTopic);
 }
 
-/// What of a message roscpp could not read at all does not come to a node.
-template <typename Message>
-bool fromBytes(const std::string& bytes, Message& message)
+/// Fields of a message, one after the other. What is not there is zero. (As roscpp serialises them they are not taken:
+/// it makes room for as many elements as a message claims before it looks for them.)
+class Fields
 {
-  try
+public:
+  explicit Fields(const std::string& bytes) : bytes_(bytes) {}
+
+  template <typename Number>
+  void read(Number& number)
   {
-    std::string copy = bytes;
-    ros::serialization::IStream stream(reinterpret_cast<std::uint8_t*>(copy.data()),
-                                       static_cast<std::uint32_t>(copy.size()));
-    ros::serialization::deserialize(stream, message);
-    return true;
+    number = Number();
+    const std::size_t count = std::min(sizeof(number), bytes_.size() - at_);
+    std::memcpy(&number, bytes_.data() + at_, count);
+    at_ += count;
   }
-  catch (const std::exception&)
+
+  template <typename Numbers>
+  void readAll(Numbers& numbers)
   {
-    return false;
+    for (auto& number : numbers)
+    {
+      read(number);
+    }
   }
-}
+
+  void read(std::string& text)
+  {
+    std::uint8_t length = 0;
+    read(length);
+    text = bytes_.substr(at_, length);
+    at_ += text.size();
+  }
+
+  void read(sensor_msgs::RegionOfInterest& region)
+  {
+    read(region.x_offset);
+    read(region.y_offset);
+    read(region.width);
+    read(region.height);
+  }
+
+  std::string rest() const { return bytes_.substr(at_); }
+
+private:
+  const std::string& bytes_;
+  std::size_t at_ = 0;
+};
 
 void requireReadable(const cv::Mat& pixels)
 {
@@ -292,78 +333,114 @@ void requireReadable(const cv::Mat& pixels)
 void readImageMessage(const std::string& bytes)
 {
   sensor_msgs::Image message;
-  if (fromBytes(bytes, message))
-  {
-    expected_name = "image";
-    requireReadable(pixelsFromMsg(message));
-  }
+  Fields fields(bytes);
+  fields.read(message.height);
+  fields.read(message.width);
+  fields.read(message.is_bigendian);
+  fields.read(message.step);
+  fields.read(message.encoding);
+  const std::string data = fields.rest();
+  message.data.assign(data.begin(), data.end());
+  expected_name = "image";
+  requireReadable(pixelsFromMsg(message));
 }
 
 void readCompressedImage(const std::string& bytes)
 {
   sensor_msgs::CompressedImage message;
-  if (fromBytes(bytes, message))
-  {
-    expected_name = "image.format";
-    requireReadable(pixelsFromMsg(message));
-  }
+  Fields fields(bytes);
+  fields.read(message.format);
+  const std::string data = fields.rest();
+  message.data.assign(data.begin(), data.end());
+  expected_name = "image.format";
+  requireReadable(pixelsFromMsg(message));
 }
 
 void readCameraInfo(const std::string& bytes)
 {
   sensor_msgs::CameraInfo message;
-  if (fromBytes(bytes, message))
-  {
-    expected_name = "";
-    const ProjectionGeometry& detector = setup().detectors[0];
-    const ProjectionGeometry geometry =
-        geometryFromCameraInfo(detector.name(), message, detector.roomFromOptical(), detector.sourceToDetector());
-    require(geometry.project({ 0.0, 0.0, 0.0 }).allFinite(), "it projects nothing");
-  }
+  Fields fields(bytes);
+  fields.read(message.height);
+  fields.read(message.width);
+  fields.readAll(message.K);
+  fields.readAll(message.R);
+  fields.readAll(message.P);
+  fields.read(message.binning_x);
+  fields.read(message.binning_y);
+  fields.read(message.roi);
+  fields.read(message.distortion_model);
+  message.D.resize(std::min<std::size_t>(fields.rest().size() / sizeof(double), 20));
+  fields.readAll(message.D);
+  expected_name = "";
+  const ProjectionGeometry& detector = setup().detectors[0];
+  const ProjectionGeometry geometry =
+      geometryFromCameraInfo(detector.name(), message, detector.roomFromOptical(), detector.sourceToDetector());
+  require(geometry.project({ 0.0, 0.0, 0.0 }).allFinite(), "it projects nothing");
+}
+
+std::optional<ViewMeasurement> measurementOf(const std::string& bytes)
+{
+  xray_tracking_msgs::TrackedRegion message;
+  Fields fields(bytes);
+  fields.read(message.state);
+  fields.read(message.model);
+  fields.read(message.reference_stamp.sec);
+  fields.read(message.reference_stamp.nsec);
+  fields.read(message.region);
+  fields.read(message.displacement_x);
+  fields.read(message.displacement_y);
+  fields.readAll(message.linear);
+  fields.readAll(message.covariance);
+  fields.read(message.fault);
+  const TrackedView view = trackedViewFromMsg(message, 0);
+  const bool found = view.state == RegionState::TRACKING || view.state == RegionState::DEGRADED;
+  return found ? std::make_optional(ViewMeasurement{ setup().room_from_patient, view.track }) : std::nullopt;
 }
 
 void readTrackedRegion(const std::string& bytes)
 {
-  xray_tracking_msgs::TrackedRegion message;
-  xray_tracking_msgs::TrackedRegion other;
-  if (!fromBytes(bytes, message) || !fromBytes(corpusFile("corpus/tracked_region/found"), other))
-  {
-    return;
-  }
   static const MotionEstimator estimator({}, setup().detectors, setup().targetCentre(),
                                          TargetShape::isotropic(setup().targetCentre()), setup().room_from_patient);
-  std::vector<std::optional<ViewMeasurement>> measurements;
-  for (const auto& region : { message, other })
-  {
-    const TrackedView view = trackedViewFromMsg(region, 0);
-    const bool found = view.state == RegionState::TRACKING || view.state == RegionState::DEGRADED;
-    measurements.push_back(found ? std::make_optional(ViewMeasurement{ setup().room_from_patient, view.track })
-                                 : std::nullopt);
-  }
-  const MotionEstimate estimate = estimator.estimate(measurements);
-  require(estimate.status != EstimateStatus::OK || estimate.reason.empty(), "a good estimate has a fault");
-  require(estimate.status == EstimateStatus::OK || !estimate.reason.empty(), "a bad estimate says no reason");
+  const MotionEstimate estimate =
+      estimator.estimate({ measurementOf(bytes), measurementOf(corpusFile("corpus/tracked_region/found")) });
+  require((estimate.status == EstimateStatus::OK) == estimate.reason.empty(), "its status and reason contradict");
   require(isRigid(estimate.room_from_patient) && estimate.covariance.allFinite() &&
               estimate.pose_covariance.allFinite() && estimate.translation.allFinite() && estimate.rotation.allFinite(),
           "the estimate is not finite");
+  if (estimate.status != EstimateStatus::OK)
+  {
+    throw std::runtime_error(expected_name + estimate.reason);
+  }
 }
 
 void readRefinementRequest(const std::string& bytes)
 {
   xray_tracking_msgs::RefinementRequest message;
-  if (fromBytes(bytes, message))
+  Fields fields(bytes);
+  for (double* number :
+       { &message.seed.position.x, &message.seed.position.y, &message.seed.position.z, &message.seed.orientation.x,
+         &message.seed.orientation.y, &message.seed.orientation.z, &message.seed.orientation.w,
+         &message.max_translation, &message.max_rotation, &message.time_budget })
   {
-    expected_name = "";
-    RegistrationRequest request;
-    for (const ProjectionGeometry& detector : setup().detectors)
-    {
-      request.views.push_back({ detector, cv::Mat(6, 8, CV_16UC1, cv::Scalar(1000)) });
-    }
-    request.search = searchOf(message);
-    applyRequest(message, setup(), request);
-    require(isRigid(request.room_from_patient), "its seed is not rigid");
-    exposureOf(message, setup());
+    fields.read(*number);
   }
+  fields.read(message.search);
+  std::uint8_t regions = 0;
+  fields.read(regions);
+  message.regions.resize(regions);
+  for (sensor_msgs::RegionOfInterest& region : message.regions)
+  {
+    fields.read(region);
+  }
+  expected_name = "";
+  RegistrationRequest request;
+  for (const ProjectionGeometry& detector : setup().detectors)
+  {
+    request.views.push_back({ detector, cv::Mat(6, 8, CV_16UC1, cv::Scalar(1000)) });
+  }
+  request.search = searchOf(message);
+  applyRequest(message, setup(), request);
+  require(isRigid(request.room_from_patient), "its seed is not rigid");
 }
 }  // namespace
 

@@ -170,6 +170,10 @@ std::optional<DicomHeader> readDicomHeader(const std::string& path)
     return std::nullopt;
   }
   const DicomExtent extent = dicomExtent(path);
+  if (extent.state == DicomExtent::State::NO_DICOM)
+  {
+    return std::nullopt;
+  }
   const bool is_cut = extent.state == DicomExtent::State::CUT || extent.state == DicomExtent::State::UNSAFE;
   if (is_cut && extent.before_pixels)
   {
