@@ -9,15 +9,22 @@ fail() { printf 'error: %s\n' "$*" >&2; exit 1; }
 
 # Installs the packages of debian_packages.txt that are missing.
 install_dependencies() {
+  # shellcheck disable=SC2046
+  install_packages "building and running need (reasons: scripts/debian_packages.txt)" \
+    $(sed -e 's/#.*//' -e 's/[[:space:]].*//' "$root/scripts/debian_packages.txt" | grep .)
+}
+
+# Installs those of some packages that are missing. The first argument says in words what they are for.
+install_packages() {
   command -v dpkg-query >/dev/null || fail "this needs Debian 12: dpkg-query is not there"
-  local wanted missing=() package
-  wanted=$(sed -e 's/#.*//' -e 's/[[:space:]].*//' "$root/scripts/debian_packages.txt" | grep .)
-  for package in $wanted; do
+  local needed_by="$1" missing=() package
+  shift
+  for package in "$@"; do
     [ "$(dpkg-query -W -f '${db:Status-Status}' "$package" 2>/dev/null)" = installed ] || missing+=("$package")
   done
   [ ${#missing[@]} -gt 0 ] || return 0
 
-  say "Installing ${#missing[@]} Debian packages that building and running need (reasons: scripts/debian_packages.txt):"
+  say "Installing ${#missing[@]} Debian packages that $needed_by:"
   say "  ${missing[*]}"
   local as_root=()
   if [ "$(id -u)" -ne 0 ]; then
@@ -36,21 +43,38 @@ install_dependencies() {
 # Of a build's output, what a person waiting for it wants to see.
 show_build() { grep --line-buffered -E 'warning:|error:|Error|Linking CXX (shared|executable)' | sed -u 's/^/  /' || true; }
 
+# Where it is built. Another kind of build than the usual one has folders of its own.
+build="$root/build"
+devel="$root/devel"
+use_build() {
+  build="$root/build_$1"
+  devel="$root/devel_$1"
+}
+
+# catkin_make in these folders.
+make_workspace() { (cd "$root" && catkin_make --build "$build" -DCATKIN_DEVEL_PREFIX="$devel" "$@"); }
+
 # Builds the workspace in Release; further arguments go to catkin_make. Shows the compiler's warnings and the progress.
 build_workspace() {
-  local log="$root/build/build.log"
-  mkdir -p "$root/build"
+  local log="$build/build.log"
+  mkdir -p "$build"
   say "Building (log: $log) ..."
-  if ! (cd "$root" && catkin_make -DCMAKE_BUILD_TYPE=Release "$@") 2>&1 | tee "$log" | show_build; then
+  if ! make_workspace -DCMAKE_BUILD_TYPE=Release "$@" 2>&1 | tee "$log" | show_build; then
     fail "the build failed; see $log"
   fi
+}
+
+# Sets `flags`, arguments of build_workspace for a build with the compiler's sanitizers: with the assertions of Eigen and
+# of the standard library, and without kernels for several processors, which are picked before a sanitizer is ready.
+sanitizer_flags() {
+  flags=("-DCMAKE_CXX_FLAGS_RELEASE=-O1 -g1 -fno-omit-frame-pointer -D_GLIBCXX_ASSERTIONS -DXRAY_TRACKING_PLAIN_KERNELS -fsanitize=$1")
 }
 
 # Makes the workspace's packages known to this shell.
 source_workspace() {
   set +u
   # shellcheck disable=SC1091
-  . "$root/devel/setup.bash"
+  . "$devel/setup.bash"
   set -u
 }
 

@@ -82,9 +82,9 @@ TEST_F(DicomExtentTest, LengthsBeyondTheFileAndDeepSequences)
   std::string meta = head;
   meta[meta.find("UI")] = '#';
   EXPECT_EQ(extentOf(meta).state, State::UNSAFE);
-  EXPECT_EQ(extentOf("no DICOM").state, State::NOT_TOLD);
-  EXPECT_EQ(extentOf("").state, State::NOT_TOLD);
-  EXPECT_EQ(dicomExtent(folder_.path("absent")).state, State::NOT_TOLD);
+  EXPECT_EQ(extentOf("no DICOM").state, State::NO_DICOM);
+  EXPECT_EQ(extentOf("").state, State::NO_DICOM);
+  EXPECT_EQ(dicomExtent(folder_.path("absent")).state, State::NO_DICOM);
 }
 
 /// GDCM's assertions ended the process for most of these.

@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
-#if defined(__x86_64__) && defined(__GNUC__)
+#if defined(__x86_64__) && defined(__GNUC__) && !defined(XRAY_TRACKING_PLAIN_KERNELS)
 #include <immintrin.h>
 #define XRAY_TRACKING_AVX2 __attribute__((target("avx2,fma")))
 #endif

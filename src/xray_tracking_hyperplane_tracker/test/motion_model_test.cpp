@@ -175,7 +175,7 @@ TEST_P(EveryModel, doesNotSeeGainAndShading)
 TEST_P(EveryModel, knowsItsCovariance)
 {
   const double noise = 0.018;  // a fifth of the contrast, as in other benchmarks
-  const int kTrials = 250;  // training takes the time; the bound below follows
+  const int kTrials = 250;     // training takes the time; the bound below follows
   options_.ranges = { 5.0 };
   options_.points = 100;
   options_.training_motions = 100;

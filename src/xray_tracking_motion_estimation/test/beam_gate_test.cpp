@@ -167,8 +167,9 @@ TEST_F(BeamGateTest, ClosesOnDisplacement)
     EXPECT_EQ(gate.open(), exposure.displacement.norm() <= options.max_displacement);
   }
   EXPECT_EQ(gate.reason(), GateReason::DISPLACED);
-  EXPECT_EQ(gate.text(), "the target is displaced by 3.64 mm and turned by 0.0 degrees, known to 0.0 degrees, "
-                         "expected at most 3.00 mm and 3.0 degrees");
+  EXPECT_EQ(gate.text(),
+            "the target is displaced by 3.64 mm and turned by 0.0 degrees, known to 0.0 degrees, "
+            "expected at most 3.00 mm and 3.0 degrees");
 }
 
 TEST_F(BeamGateTest, ClosesOnLateExposures)

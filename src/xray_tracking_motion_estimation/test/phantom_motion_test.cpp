@@ -193,8 +193,8 @@ TEST_F(PhantomMotion, WithRotationInAllAxes)
     {
       const Judgement& ours = judgements[name];
       EXPECT_LE(quantile(ours.tre, 0.5), 0.6 * paper) << name;
-      // What was not seen is in the covariance: six numbers. No lower bound, as floors and the rotations' prior are meant
-      // for patients, who differ by more than the phantom's exact projections.
+      // What was not seen is in the covariance: six numbers. No lower bound, as floors and the rotations' prior are
+      // meant for patients, who differ by more than the phantom's exact projections.
       EXPECT_LE(ours.normalised, 6.0) << name;
     }
     EXPECT_LE(quantile(judgements["affine, shape of the bone"].tre, 0.5), 0.25 * paper);

@@ -205,8 +205,7 @@ void expectSame(const Sequence& a, const Sequence& b)
     EXPECT_TRUE(same_pose(a.gold_standard[k].room_from_patient, b.gold_standard[k].room_from_patient)) << k;
     for (std::size_t d = 0; d < a.setup.detectors.size(); ++d)
     {
-      const auto read = [&](const Sequence& sequence)
-      { return sequence.image(k, d); };
+      const auto read = [&](const Sequence& sequence) { return sequence.image(k, d); };
       EXPECT_EQ(0, cv::norm(read(a), read(b), cv::NORM_INF));
     }
   }

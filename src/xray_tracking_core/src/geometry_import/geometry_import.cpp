@@ -309,7 +309,8 @@ ImportedGeometry importGeometry(const std::vector<std::string>& files, const Geo
   }
   if (views.size() < 2)
   {
-    throw std::invalid_argument(sentence(views.size(), " view in the files: expected two or more"));
+    throw std::invalid_argument(
+        sentence(views.size(), " view in the files, ", views.front().where, ": expected two or more"));
   }
   nameViews(views, options);
   for (ImportedView& view : views)

@@ -293,7 +293,7 @@ private:
 
 SimdLevel bestSimdLevel()
 {
-#ifdef __x86_64__
+#if defined(__x86_64__) && !defined(XRAY_TRACKING_PLAIN_KERNELS)
   if (__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512bw"))
   {
     return SimdLevel::AVX512;

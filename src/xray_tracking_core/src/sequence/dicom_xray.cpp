@@ -1,4 +1,6 @@
+#include <algorithm>
 #include <cmath>
+#include <cstdint>
 #include <optional>
 #include <sstream>
 #include <stdexcept>
@@ -13,6 +15,8 @@ namespace xray_tracking
 namespace
 {
 const gdcm::Tag kImagerPixelSpacing(0x0018, 0x1164);
+const gdcm::Tag kRows(0x0028, 0x0010);
+const gdcm::Tag kColumns(0x0028, 0x0011);
 const gdcm::Tag kRelationship(0x0028, 0x1040);
 const gdcm::Tag kRelationshipSign(0x0028, 0x1041);
 const gdcm::Tag kIntercept(0x0028, 0x1052);
@@ -86,6 +90,9 @@ cv::Mat readDicomXray(const std::string& path, const ProjectionGeometry& detecto
   {
     fail(path, "has a ModalityLUTSequence, expected RescaleSlope and RescaleIntercept, or neither");
   }
+  const auto size_of = [&](const gdcm::Tag& tag)
+  { return static_cast<std::uint32_t>(std::min(std::max(0.0, header.number(tag).value_or(0.0)), 1e6)); };
+  requireSize(path, size_of(kColumns), size_of(kRows), detector);
   const DicomPixels pixels(path);
   if (pixels.frames() != 1)
   {

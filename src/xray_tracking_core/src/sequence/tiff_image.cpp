@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <cstdint>
 #include <memory>
 #include <stdexcept>
@@ -124,11 +125,12 @@ void readTiles(TIFF* tiff, const std::string& path, cv::Mat& image)
   std::uint32_t columns = 0, rows = 0;
   TIFFGetField(tiff, TIFFTAG_TILEWIDTH, &columns);
   TIFFGetField(tiff, TIFFTAG_TILELENGTH, &rows);
-  constexpr std::uint32_t kLargestTile = 1 << 14;
-  if (columns > kLargestTile || rows > kLargestTile)
+  // A file may claim any size; one tile, in steps of 16, is enough for the image.
+  const auto most = static_cast<std::uint32_t>(std::max({ image.cols, image.rows, 1024 })) + 16;
+  if (columns < 1 || rows < 1 || columns > most || rows > most)
   {
-    fail(path, "has tiles of " + std::to_string(columns) + " x " + std::to_string(rows) + " pixels, expected " +
-                   std::to_string(kLargestTile) + " at most");
+    fail(path, "has tiles of " + std::to_string(columns) + " x " + std::to_string(rows) + " pixels, expected 1 to " +
+                   std::to_string(most));
   }
   cv::Mat tile(static_cast<int>(rows), static_cast<int>(columns), image.type());
   if (static_cast<std::size_t>(TIFFTileSize(tiff)) != tile.total() * tile.elemSize())
@@ -150,7 +152,7 @@ void readTiles(TIFF* tiff, const std::string& path, cv::Mat& image)
 }
 }  // namespace
 
-cv::Mat readTiff(const std::string& path, const cv::Size& expected)
+cv::Mat readTiff(const std::string& path, const ProjectionGeometry& detector)
 {
   // They print; what matters is thrown here.
   TIFFSetWarningHandler(nullptr);
@@ -180,12 +182,7 @@ cv::Mat readTiff(const std::string& path, const cv::Size& expected)
   {
     fail(path, "has " + std::to_string(layout.samples) + " channels, expected one");
   }
-  if (layout.columns != static_cast<std::uint32_t>(expected.width) ||
-      layout.rows != static_cast<std::uint32_t>(expected.height))
-  {
-    fail(path, "is " + std::to_string(layout.columns) + " x " + std::to_string(layout.rows) + ": expected " +
-                   std::to_string(expected.width) + " x " + std::to_string(expected.height) + " pixels");
-  }
+  requireSize(path, layout.columns, layout.rows, detector);
   cv::Mat image(static_cast<int>(layout.rows), static_cast<int>(layout.columns), pixelType(layout, path));
   if (TIFFIsTiled(tiff.get()) != 0)
   {

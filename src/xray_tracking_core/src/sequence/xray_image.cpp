@@ -57,33 +57,25 @@ Format formatOf(const std::string& path)
   return Format::OTHER;
 }
 
-/// Before anything is allocated for what a header claims.
-void requireSize(const Eigen::Vector2i& size, const Eigen::Vector2i& expected, const std::string& path)
+/// Of the header that a PNG file begins with.
+std::uint32_t pngNumber(const std::string& header, std::size_t at)
 {
-  if (size != expected)
+  std::uint32_t number = 0;
+  for (std::size_t n = at; n < at + 4; ++n)
   {
-    fail(path, "is " + std::to_string(size.x()) + " x " + std::to_string(size.y()) + ": expected " +
-                   std::to_string(expected.x()) + " x " + std::to_string(expected.y()) + " pixels");
+    number = number << 8 | static_cast<unsigned char>(header[n]);
   }
+  return number;
 }
 
-cv::Mat readPng(const std::string& path, const Eigen::Vector2i& expected)
+cv::Mat readPng(const std::string& path, const ProjectionGeometry& detector)
 {
-  // Signature, length and name of the first chunk, width, height.
-  std::array<unsigned char, 24> start{};
-  std::ifstream file(path, std::ios::binary);
-  file.read(reinterpret_cast<char*>(start.data()), start.size());
-  const auto number = [&start](std::size_t at)
-  {
-    const std::uint32_t bytes = std::uint32_t{ start[at] } << 24 | std::uint32_t{ start[at + 1] } << 16 |
-                                std::uint32_t{ start[at + 2] } << 8 | start[at + 3];
-    return static_cast<int>(bytes & 0x7fffffffU);
-  };
-  if (!file || std::string(start.begin() + 12, start.begin() + 16) != "IHDR")
+  std::string header(24, '\0');
+  if (!std::ifstream(path, std::ios::binary).read(header.data(), static_cast<std::streamsize>(header.size())))
   {
     fail(path, "not readable or truncated");
   }
-  requireSize({ number(16), number(20) }, expected, path);
+  requireSize(path, pngNumber(header, 16), pngNumber(header, 20), detector);
   cv::Mat image;
   try
   {
@@ -164,22 +156,31 @@ cv::Mat countsOf(const cv::Mat& values, IntensityModel::Kind kind, bool floating
 }
 }  // namespace
 
+void requireSize(const std::string& path, std::uint32_t columns, std::uint32_t rows, const ProjectionGeometry& detector)
+{
+  const Eigen::Vector2i& expected = detector.imageSize();
+  if (columns != static_cast<std::uint32_t>(expected.x()) || rows != static_cast<std::uint32_t>(expected.y()))
+  {
+    fail(path, "is " + std::to_string(columns) + " x " + std::to_string(rows) + ": expected " +
+                   std::to_string(expected.x()) + " x " + std::to_string(expected.y()) + " pixels");
+  }
+}
+
 cv::Mat readXrayImage(const std::string& path, const ProjectionGeometry& detector, const IntensityModel& intensity)
 {
   if (!std::filesystem::is_regular_file(path))
   {
     fail(path, "missing");
   }
-  const Eigen::Vector2i& expected = detector.imageSize();
   cv::Mat values;
   bool floating = false;
   switch (formatOf(path))
   {
     case Format::PNG:
-      values = greyOf(readPng(path, expected), path);
+      values = greyOf(readPng(path, detector), path);
       break;
     case Format::TIFF:
-      values = greyOf(readTiff(path, { expected.x(), expected.y() }), path);
+      values = greyOf(readTiff(path, detector), path);
       floating = values.depth() >= CV_32F;
       break;
     case Format::OTHER:
@@ -190,7 +191,6 @@ cv::Mat readXrayImage(const std::string& path, const ProjectionGeometry& detecto
       }
       values = readDicomXray(path, detector, intensity.kind);
   }
-  requireSize({ values.cols, values.rows }, expected, path);
   return countsOf(values, intensity.kind, floating, path);
 }
 }  // namespace xray_tracking

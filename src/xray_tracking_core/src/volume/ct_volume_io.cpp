@@ -101,9 +101,9 @@ StoredVolume readByItk(itk::ImageIOBase& format, const std::string& path)
     {
       failCt(path, "has " + std::to_string(format.GetNumberOfComponents()) + " values a voxel, expected 1");
     }
-    requireAllVoxels(format, path);
     stored.volume.grid = gridOf(format, path);
     requireUsableGrid(stored.volume.grid, path);
+    requireAllVoxels(format, path);
     itk::ImageIORegion region(3);
     for (unsigned axis = 0; axis < 3; ++axis)
     {

@@ -50,7 +50,7 @@ public:
     file_.seekg(0, std::ios::end);
     if (!file_)
     {
-      throw Found{ State::NOT_TOLD, false, "not readable" };
+      throw Found{ State::NO_DICOM, false, "not readable" };
     }
     size_ = static_cast<std::uint64_t>(file_.tellg());
     seek(0);
@@ -72,21 +72,30 @@ public:
                                   static_cast<std::uint16_t>(static_cast<unsigned char>(start[1]) << 8);
       if (size_ < start.size() || (group != 2 && group != 8))
       {
-        throw Found{ State::NOT_TOLD, false, "not a DICOM file by its first bytes" };
+        throw Found{ State::NO_DICOM, false, "not a DICOM file by its first bytes" };
       }
     }
+    const std::uint64_t start_of_meta = position_;
     const std::string syntax = metaInformation();
+    if (has_preamble && position_ == start_of_meta)
+    {
+      throw Found{ State::UNSAFE, true, "no meta information follows its preamble; export it again" };
+    }
     if (position_ == size_)
     {
       throw Found{ State::CUT, true, "truncated: nothing follows its meta information" };
     }
     if (syntax == "1.2.840.10008.1.2.1.99")
     {
-      throw Found{ State::NOT_TOLD, false, "deflated" };
+      throw Found{ State::UNSAFE, true, "deflated; export it as Explicit VR Little Endian" };
     }
     big_endian_ = syntax == "1.2.840.10008.1.2.2";
     const bool is_explicit = syntax.empty() ? looksExplicit() : syntax != "1.2.840.10008.1.2";
     elements(size_, false, is_explicit, 0);
+    if (!has_no_vr_.empty())
+    {
+      throw Found{ State::IRREGULAR, false, has_no_vr_ };
+    }
   }
 
 private:
@@ -147,8 +156,8 @@ private:
 
   [[noreturn]] void irregular(std::uint32_t tag, const std::string& what) const
   {
-    throw Found{ in_meta_ ? State::UNSAFE : State::IRREGULAR, in_meta_,
-                 nameOf(tag) + " before byte " + std::to_string(position_) + " " + what };
+    throw Found{ State::UNSAFE, true,
+                 nameOf(tag) + " before byte " + std::to_string(position_) + " " + what + "; export it again" };
   }
 
   /// @return the transfer syntax; empty if there is none
@@ -226,9 +235,17 @@ private:
         {
           throw Found{ State::UNSAFE, true, nameOf(element.tag) + " has no VR of the standard; export it again" };
         }
-        irregular(element.tag, "has no VR");
+        if (in_meta_)
+        {
+          irregular(element.tag, "has no VR");
+        }
+        // GDCM takes it for implicit.
+        seek(position_ - 2);
+        element.vr.clear();
+        element.length = number(4);
+        has_no_vr_ = nameOf(element.tag) + " before byte " + std::to_string(position_) + " has no VR";
       }
-      if (isLong(element.vr))
+      else if (isLong(element.vr))
       {
         number(2);
         element.length = number(4);
@@ -353,7 +370,8 @@ private:
   std::uint64_t size_ = 0;
   std::uint64_t position_ = 0;
   bool big_endian_ = false;
-  bool in_meta_ = false;  ///< in the meta information
+  bool in_meta_ = false;   ///< in the meta information
+  std::string has_no_vr_;  ///< where that is so though others have; in words
 };
 }  // namespace
 

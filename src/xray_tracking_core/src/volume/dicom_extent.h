@@ -11,11 +11,12 @@ struct DicomExtent
 {
   enum class State
   {
-    WHOLE,      ///< every element and item ends where the file or what it is in says
-    CUT,        ///< the file ends before one does, or sequences lie deeper than any real one's
-    UNSAFE,     ///< not to be given to GDCM: meta information that is none, a VR whose value it would take for a length
-    NOT_TOLD,   ///< deflated, not readable, or not a DICOM file by its first bytes
-    IRREGULAR,  ///< not as the standard has it, which GDCM may nevertheless read
+    WHOLE,     ///< every element and item ends where the file or what it is in says
+    CUT,       ///< the file ends before one does, or sequences lie deeper than any real one's
+    UNSAFE,    ///< not as the standard has it, or deflated: not to be given to GDCM, which may end the process, or take
+               ///< a value for a length
+    NO_DICOM,  ///< not readable, or not a DICOM file by its first bytes
+    IRREGULAR,  ///< WHOLE, with elements without a VR among others that have one
   };
 
   State state = State::WHOLE;

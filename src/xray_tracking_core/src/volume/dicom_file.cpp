@@ -1,7 +1,10 @@
 #include "dicom_file.h"
 
 #include <algorithm>
+#include <cmath>
 #include <cstring>
+#include <filesystem>
+#include <limits>
 #include <locale>
 #include <sstream>
 #include <stdexcept>
@@ -16,6 +19,7 @@
 #include <gdcmTrace.h>
 #include <itkObject.h>
 
+#include "ct_error.h"
 #include "dicom_extent.h"
 #include "short_uids.h"
 #include "stored_volume.h"
@@ -70,7 +74,7 @@ std::vector<double> binaryNumbers(const gdcm::ByteValue& bytes)
 int wholeOr(const DicomData& data, const gdcm::Tag& tag, int otherwise)
 {
   const std::optional<double> value = data.number(tag);
-  return value ? static_cast<int>(std::clamp(*value, -1.0, 1e6)) : otherwise;
+  return value ? static_cast<int>(std::isnan(*value) ? -1.0 : std::clamp(*value, -1.0, 1e6)) : otherwise;
 }
 }  // namespace
 
@@ -168,6 +172,10 @@ std::optional<DicomHeader> readDicomHeader(const std::string& path)
     return std::nullopt;
   }
   const DicomExtent extent = dicomExtent(path);
+  if (extent.state == DicomExtent::State::NO_DICOM)
+  {
+    return std::nullopt;
+  }
   const bool is_cut = extent.state == DicomExtent::State::CUT || extent.state == DicomExtent::State::UNSAFE;
   if (is_cut && extent.before_pixels)
   {
@@ -254,6 +262,7 @@ DicomPixels::DicomPixels(const std::string& path)
       fail(path, "HighBit is " + std::to_string(high_bit_) + " of compressed pixels, expected BitsStored - 1, " +
                      std::to_string(stored_ - 1));
     }
+    requireHeld(path, std::filesystem::file_size(path), expected);
     gdcm::ImageReader image_reader;
     image_reader.SetFileName(path.c_str());
     if (image_reader.Read() && image_reader.GetImage().GetPixelFormat().GetBitsAllocated() == allocated_)
@@ -317,6 +326,10 @@ std::optional<std::int32_t> DicomPixels::value(const gdcm::Tag& tag) const
     return std::nullopt;
   }
   // A value that the stored bits cannot hold is none of a pixel's: writers have put -2000 beside 12 bits.
+  if (!(std::abs(*number) <= std::numeric_limits<std::uint32_t>::max()))
+  {
+    return std::nullopt;
+  }
   const auto wide = static_cast<std::int64_t>(*number);
   const std::int64_t as_read = is_signed_ && wide > 32767 && allocated_ == 16 ? wide - 65536
                                : !is_signed_ && wide < 0                      ? wide + 65536

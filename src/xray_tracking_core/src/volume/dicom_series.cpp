@@ -261,18 +261,19 @@ Slice readSlice(const FrameData& data, const std::string& file, int frame)
   Slice slice;
   slice.file = file;
   slice.frame = frame;
-  slice.size.x() = static_cast<int>(data.vector<1>(kColumns, "Columns", file)[0]);
-  slice.size.y() = static_cast<int>(data.vector<1>(kRows, "Rows", file)[0]);
+  const Eigen::Vector2d size(data.vector<1>(kColumns, "Columns", file)[0], data.vector<1>(kRows, "Rows", file)[0]);
+  if (!(size.minCoeff() >= 1.0 && size.maxCoeff() <= 65535.0))
+  {
+    std::ostringstream message;
+    message << "Columns and Rows are " << size.x() << " and " << size.y() << ", expected 1 to 65535";
+    failCt(file, message.str());
+  }
+  slice.size = size.cast<int>();
   slice.spacing = data.vector<2>(kPixelSpacing, "PixelSpacing", file).reverse();
   // Negated so that NaN fails, too.
   if (!(slice.spacing.minCoeff() >= kLeastSpacing && slice.spacing.maxCoeff() <= kMostSpacing))
   {
     failCt(file, "PixelSpacing is " + data.text(kPixelSpacing) + ", expected mm between pixels, 0.01 to 20");
-  }
-  if (!(slice.size.minCoeff() >= 1))
-  {
-    failCt(file, "Columns and Rows are " + std::to_string(slice.size.x()) + " and " + std::to_string(slice.size.y()) +
-                     ", expected 1 or more");
   }
   slice.position = data.vector<3>(kPosition, "ImagePositionPatient", file);
   slice.decimals = decimalsOf(data.text(kPosition));

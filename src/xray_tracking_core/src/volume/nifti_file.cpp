@@ -210,10 +210,12 @@ Eigen::Affine3d patientFromIndex(const NiftiHeader& header, const Eigen::Vector3
 }
 
 template <typename Value>
-void readVoxels(gzFile file, bool swapped, double slope, double intercept, const std::string& path,
-                StoredVolume& stored)
+void readVoxels(gzFile file, std::uintmax_t stored_bytes, bool swapped, double slope, double intercept,
+                const std::string& path, StoredVolume& stored)
 {
   const std::size_t count = stored.volume.grid.voxelCount();
+  requireHeld(path, stored_bytes, static_cast<double>(count) * sizeof(Value));
+  stored.volume.hu.reserve(count);
   std::vector<Value> values(std::min(count, kChunk));
   std::vector<float> scaled(values.size());
   for (std::size_t done = 0; done < count;)
@@ -295,14 +297,16 @@ StoredVolume readNifti(const std::string& path, NiftiForm form)
   slope = slope == 0.0 ? 1.0 : slope;
   const std::string data = niftiPart(path, ".img");
   const GzFile file = openGz(data);
-  const auto start = static_cast<z_off_t>(std::max(0.0f, header.get<float>(108)));
+  const auto start = static_cast<z_off_t>(std::clamp(header.floats("vox_offset", 108, 1)[0], 0.0, 1e9));
   if (!file || gzseek(file.get(), start, SEEK_SET) != start)
   {
     failCt(path, "truncated: " + data + " cannot be read up to its first voxel");
   }
-  stored.volume.hu.reserve(grid.voxelCount());
   const auto read = [&](auto value)
-  { readVoxels<decltype(value)>(file.get(), header.swapped(), slope, intercept, path, stored); };
+  {
+    readVoxels<decltype(value)>(file.get(), std::filesystem::file_size(data), header.swapped(), slope, intercept, path,
+                                stored);
+  };
   switch (const int type = header.get<std::int16_t>(70))
   {
     case 2:
