@@ -5,7 +5,7 @@ import numpy
 from scipy import stats
 
 from .results import Results, ResultsError, box_moments, errors_by_axis
-from .statistics import normalised_errors, share_interval
+from .statistics import calibration, normalised_errors
 
 LIMIT = 1.5  # [mm], as belief is of (docs/belief.md)
 SOURCES = ('registered', 'tracked')
@@ -38,28 +38,15 @@ def answers(folder):
     return found
 
 
-def mean_interval(values):
-    """Mean and half of its 95 % interval, as if frames were independent."""
-    n = len(values)
-    half = stats.t.ppf(0.975, n - 1) * values.std(ddof=1) / numpy.sqrt(n) if n > 1 else float('nan')
-    return float(values.mean()) if n else float('nan'), float(half)
-
-
 def calibration_row(all_answers, source):
-    """Figures of the poses of one source in several runs; None if there are none."""
-    figures = {}
+    """Calibration of the target's centre and of the pose, of the poses of one source in several runs; None if there are
+    none."""
+    figures = []
     for freedom in (3, 6):
-        values = numpy.concatenate([
-            getattr(a, f'nees{freedom}')[[s == source for s in a.source]] for a in all_answers])
-        values = values[numpy.isfinite(values)]
-        if len(values) == 0:
-            return None
-        within = int((values <= stats.chi2.ppf(0.95, freedom)).sum())
-        mean, half = mean_interval(values)
-        low, high = share_interval(within, len(values))
-        figures[f'nees{freedom}'] = {'n': len(values), 'mean': mean, 'half': half, 'within': within / len(values),
-                                     'within_low': low, 'within_high': high}
-    return figures
+        nees = numpy.concatenate([numpy.array(getattr(a, f'nees{freedom}'))[[s == source for s in a.source]]
+                                  for a in all_answers] or [numpy.zeros(0)])
+        figures.append(calibration(nees, freedom))
+    return figures if figures[0].n else None
 
 
 def upper_bound(errors, n):
@@ -69,10 +56,10 @@ def upper_bound(errors, n):
 
 def calibration_table(rows):
     """Markdown. @param rows (name, source, calibration_row())"""
-    lines = ['| | poses | n | centre: NEES of 3 | inside 95 % | pose: NEES of 6 | inside 95 % |', '|---|---|---|---|---|---|---|']
+    lines = ['| | poses | n | centre: NEES of 3 | inside 95 % | pose: NEES of 6 | inside 95 % |',
+             '|---|---|---|---|---|---|---|']
     for name, source, row in rows:
-        cells = [f'{c["mean"]:.2f} ± {c["half"]:.2f} | {100 * c["within"]:.0f} % '
-                 f'({100 * c["within_low"]:.0f} to {100 * c["within_high"]:.0f})'
-                 for c in (row['nees3'], row['nees6'])]
-        lines.append(f'| {name} | {source} | {row["nees3"]["n"]} | ' + ' | '.join(cells) + ' |')
+        cells = [f'{c.mean:.2f} | {100.0 * c.within / c.n:.0f} % ({100.0 * c.low:.0f} to {100.0 * c.high:.0f})'
+                 for c in row]
+        lines.append(f'| {name} | {source} | {row[0].n} | ' + ' | '.join(cells) + ' |')
     return '\n'.join(lines)
