@@ -86,7 +86,7 @@ ExposureEstimate ExposureEstimator::estimate(const TrackedExposure& exposure)
     if (doubts_[i].state == MotionState::OK)
     {
       const TrackedView& view = *exposure.views[i];
-      measurements_[i] = references_.measurement(i, trackOf(i, view));
+      measurements_[i] = references_.measurement(i, trackOf(i, view), exposure.stamp);
       if (observability_.empty())
       {
         const TargetShape shape = shape_->about(target_centre_, reference_.linear());
@@ -140,7 +140,7 @@ void ExposureEstimator::accept(const Refinement& refinement, const TrackedExposu
   {
     if (doubtOf(i, exposure).state == MotionState::OK)
     {
-      references_.anchor(i, *exposure.views[i], trackOf(i, *exposure.views[i]), refinement.refined);
+      references_.anchor(i, *exposure.views[i], trackOf(i, *exposure.views[i]), exposure.stamp, refinement.refined);
     }
   }
 }

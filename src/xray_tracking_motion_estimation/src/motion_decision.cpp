@@ -35,6 +35,7 @@ MotionDecision DecisionRules::decide(const TrackedExposure& exposure, const Expo
   {
     decision.room_from_patient = estimate->room_from_patient;
     decision.pose_covariance = estimate->pose_covariance;
+    decision.tissue_variance = estimate->tissue_variance;
     decision.displacement_covariance = estimate->covariance.topLeftCorner<3, 3>();
     decision.displacement = displacement(estimate->room_from_patient);
     decision.disagreement = estimate->disagreement;
@@ -49,6 +50,7 @@ MotionDecision DecisionRules::decide(const TrackedExposure& exposure, const Expo
     decision.source = PoseSource::REGISTERED;
     decision.room_from_patient = refinement->refined;
     decision.pose_covariance = refinement->covariance;
+    decision.tissue_variance = 0.0;
     decision.displacement_covariance =
         covarianceAt(target_centre_, refinement->refined, refinement->covariance).topLeftCorner<3, 3>();
     decision.displacement = displacement(refinement->refined);

@@ -20,6 +20,9 @@ constexpr double kConverged = 1e-9;  // mm, and 1e-11 rad: the same over 100 mm
 constexpr int kMaxIterations = 20;
 constexpr std::size_t kMaxDegreesOfFreedom = 6 * kMaxViews - 3;
 
+/// Over which tissue moves alike [mm]: a region of which it moves a side by a millimetre otherwise turns by a degree.
+constexpr double kTissueLength = 57.3;
+
 /// The rotation of a warp's linear part, from columns to rows [rad], and its variance for the warp's covariance.
 std::pair<double, double> inPlaneRotation(const Vector6d& warp, const Matrix6d& covariance)
 {
@@ -59,6 +62,7 @@ void MotionEstimationOptions::validate() const
   requirePositive("linear_floor_sigma", linear_floor_sigma, "");
   requirePositive("rotation_sigma", rotation_sigma, " rad");
   requireOption(tissue_sigma >= 0.0 && std::isfinite(tissue_sigma), "tissue_sigma", tissue_sigma, "a number >= 0 mm");
+  requirePositive("tissue_time", tissue_time, " s");
   requireOption(min_view_angle > 0.0 && min_view_angle < M_PI / 2, "min_view_angle", min_view_angle,
                 "an angle in (0, pi / 2) rad");
 }
@@ -159,6 +163,7 @@ MotionEstimate MotionEstimator::estimate(const std::vector<std::optional<ViewMea
     estimate.reason = "the tracks lead to no place in front of all sources";
     return estimate;
   }
+  estimate.tissue_variance = tissueVariance(measurements);
   fillPose(motion, estimate);
   return estimate;
 }
@@ -388,6 +393,21 @@ bool MotionEstimator::judgeConsistency(const Observations& observations, const M
   return true;
 }
 
+double MotionEstimator::tissueVariance(const std::vector<std::optional<ViewMeasurement>>& measurements) const
+{
+  // One view that counts from long ago may carry the estimate away by itself.
+  double share = 0.0;
+  for (const std::optional<ViewMeasurement>& measurement : measurements)
+  {
+    if (measurement)
+    {
+      const double of_view = measurement->since_anchor ? *measurement->since_anchor / options_.tissue_time : 1.0;
+      share = std::max(share, std::min(1.0, of_view));
+    }
+  }
+  return share * options_.tissue_sigma * options_.tissue_sigma;
+}
+
 void MotionEstimator::fillPose(const Motion& motion, MotionEstimate& estimate) const
 {
   estimate.translation = motion.target - reference_target_;
@@ -395,8 +415,15 @@ void MotionEstimator::fillPose(const Motion& motion, MotionEstimate& estimate) c
   estimate.room_from_patient.linear() = rotation;
   estimate.room_from_patient.translation() = motion.target - rotation * target_centre_;
 
+  // Of a rotation that tissue feigns the estimate follows as much as of a true one: all where it is measured, nothing
+  // where the prior alone tells.
+  const Eigen::Matrix3d followed =
+      Eigen::Matrix3d::Identity() -
+      estimate.covariance.bottomRightCorner<3, 3>() / (options_.rotation_sigma * options_.rotation_sigma);
+  estimate.covariance.bottomRightCorner<3, 3>() +=
+      estimate.tissue_variance / (kTissueLength * kTissueLength) * followed * followed.transpose();
+  estimate.covariance.diagonal().head<3>().array() += estimate.tissue_variance;
   estimate.covariance += reference_covariance_;
-  estimate.covariance.diagonal().head<3>().array() += options_.tissue_sigma * options_.tissue_sigma;
   const Matrix6d origin_from_target = pointFromOriginJacobian(-(rotation * target_centre_));
   estimate.pose_covariance = origin_from_target * estimate.covariance * origin_from_target.transpose();
 }

@@ -113,6 +113,7 @@ json jsonOf(const ViewReference& reference)
            { "learnt_at", jsonOf(reference.learnt_at) },
            { "room_from_patient", jsonOf(reference.room_from_patient) },
            { "anchor", reference.anchor ? jsonOf(*reference.anchor) : json() },
+           { "anchor_stamp", reference.anchor_stamp },
            { "registered", reference.registered } };
 }
 
@@ -129,6 +130,7 @@ ViewReference referenceFrom(const json& from)
   {
     reference.anchor = trackFrom(from.at("anchor"));
   }
+  reference.anchor_stamp = from.at("anchor_stamp").get<std::int64_t>();
   reference.registered = from.at("registered").get<bool>();
   return reference;
 }

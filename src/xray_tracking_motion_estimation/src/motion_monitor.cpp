@@ -378,7 +378,7 @@ void MotionMonitor::decide(std::int64_t now)
     {
       predictor_.correct(*current_->refinement->tracked, decision.room_from_patient);
     }
-    predictor_.add(exposure.stamp, decision.room_from_patient, decision.pose_covariance);
+    predictor_.add(exposure.stamp, decision.room_from_patient, decision.pose_covariance, decision.tissue_variance);
     last_pose_ = { exposure.stamp, decision.room_from_patient };
     last_was_registered_ = registered;
   }

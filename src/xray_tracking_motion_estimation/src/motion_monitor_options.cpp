@@ -50,7 +50,6 @@ void MotionMonitorOptions::derive()
   tracks.rigid_consistency = tracks.consistency;
   tracks.rigid_consistency.floor_sigma = rigid_sigma;
   tracks.rigid_consistency.persistent_sigma = 0.0;
-  prediction.tissue_sigma = tracks.estimation.tissue_sigma;
   gate.verification.registration = refinement.mode != RefinementMode::NEVER;
   refinement.target_speed = tracks.target_speed;
 }

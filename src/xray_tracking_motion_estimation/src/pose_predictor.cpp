@@ -36,7 +36,6 @@ void PosePredictorOptions::validate() const
     }
   };
   require(latency > 0.0 && latency <= 1.0, "latency", latency, "a number in (0, 1] s");
-  require(tissue_sigma >= 0.0 && std::isfinite(tissue_sigma), "tissue_sigma", tissue_sigma, "a number >= 0 mm");
   require(max_gap > latency && std::isfinite(max_gap), "max_gap", max_gap, "a number > latency, in s");
 }
 
@@ -59,7 +58,8 @@ Vector6d PosePredictor::coordinates(const RigidTransform& room_from_patient) con
   return result;
 }
 
-bool PosePredictor::add(std::int64_t stamp, const RigidTransform& room_from_patient, const PoseCovariance& covariance)
+bool PosePredictor::add(std::int64_t stamp, const RigidTransform& room_from_patient, const PoseCovariance& covariance,
+                        double tissue_variance)
 {
   if (!isRigid(room_from_patient) || !covariance.allFinite() || (last_stamp_ && stamp <= *last_stamp_))
   {
@@ -85,7 +85,7 @@ bool PosePredictor::add(std::int64_t stamp, const RigidTransform& room_from_pati
   for (int i = 0; i < 6; ++i)
   {
     const double variance = target_covariance(i, i);
-    const double lasting = i < 3 ? options_.tissue_sigma * options_.tissue_sigma : 0.0;
+    const double lasting = i < 3 ? tissue_variance : 0.0;
     const double most_noise = variance > lasting ? variance - lasting : variance;
     if (start)
     {

@@ -1,5 +1,6 @@
 #include "xray_tracking_motion_estimation/view_references.h"
 
+#include <cstdlib>
 #include <limits>
 
 namespace xray_tracking
@@ -59,17 +60,23 @@ bool ViewReferences::find(std::size_t view, const TrackedView& tracked)
     return false;
   }
   reference = ViewReference{ tracked.reference_stamp, tracked.region, pose->room_from_patient,
-                             pose->room_from_patient, std::nullopt,   pose->registered };
+                             pose->room_from_patient, std::nullopt,   0,
+                             pose->registered };
   return true;
 }
 
-ViewMeasurement ViewReferences::measurement(std::size_t view, const Track& track) const
+ViewMeasurement ViewReferences::measurement(std::size_t view, const Track& track, std::int64_t stamp) const
 {
   const ViewReference& reference = *references_[view];
-  return { reference.room_from_patient, reference.anchor ? track.since(*reference.anchor) : track };
+  if (!reference.anchor)
+  {
+    return { reference.room_from_patient, track, std::nullopt };
+  }
+  return { reference.room_from_patient, track.since(*reference.anchor),
+           1e-9 * static_cast<double>(std::abs(stamp - reference.anchor_stamp)) };
 }
 
-void ViewReferences::anchor(std::size_t view, const TrackedView& tracked, const Track& track,
+void ViewReferences::anchor(std::size_t view, const TrackedView& tracked, const Track& track, std::int64_t stamp,
                             const RigidTransform& room_from_patient)
 {
   std::optional<ViewReference>& reference = references_[view];
@@ -81,11 +88,12 @@ void ViewReferences::anchor(std::size_t view, const TrackedView& tracked, const 
   if (!reference || !isOf(*reference, tracked))
   {
     // Learnt at a pose that is not known: about where it is now, less what it was tracked by.
-    reference = ViewReference{ tracked.reference_stamp, tracked.region, room_from_patient, {}, {}, true };
+    reference = ViewReference{ tracked.reference_stamp, tracked.region, room_from_patient, {}, {}, stamp, true };
     reference->region += cv::Point(cvRound(track.displacement.x()), cvRound(track.displacement.y()));
   }
   reference->room_from_patient = room_from_patient;
   reference->anchor = track;
+  reference->anchor_stamp = stamp;
   reference->registered = true;
 }
 

@@ -72,22 +72,25 @@ TEST(Covariance, HasTheTissueThatNoTrackTellsOf)
   const Scene scene{ cyberknife(), { 12.0, -9.0, 15.0 } };
   MotionEstimationOptions options;
   options.floor_sigma = 0.2 * kPixel;
-  const auto squaredError = [&](double tissue_sigma)
+  const auto squaredError = [&](double tissue_sigma, std::optional<double> since_anchor = std::nullopt)
   {
     options.tissue_sigma = tissue_sigma;
+    const double share = std::min(1.0, since_anchor.value_or(1e9) / options.tissue_time);
     const MotionEstimator estimator = scene.estimator(options);
     Random random(3);
     double sum = 0.0;
     for (int trial = 0; trial < kTrials; ++trial)
     {
       const Eigen::Vector3d translation = random.inCube(8.0);
-      const Eigen::Vector3d tissue = random.normals(3);
+      const Eigen::Vector3d tissue = std::sqrt(share) * random.normals(3);
       auto tracks = scene.exactTracks(Eigen::Vector3d(translation + tissue));
       for (auto& measurement : tracks)
       {
         random.disturb(measurement->track, options);
+        measurement->since_anchor = since_anchor;
       }
       const MotionEstimate estimate = estimator.estimate(tracks);
+      EXPECT_NEAR(estimate.tissue_variance, share * tissue_sigma * tissue_sigma, 1e-12);
       const Eigen::Vector3d error = translation - estimate.translation;
       const Eigen::Matrix3d covariance = estimate.covariance.topLeftCorner<3, 3>();
       sum += error.dot(covariance.llt().solve(error));
@@ -96,6 +99,51 @@ TEST(Covariance, HasTheTissueThatNoTrackTellsOf)
   };
   expectChiSquare(squaredError(1.0), 3.0 * kTrials, "tissue of 1 mm");
   EXPECT_GT(squaredError(0.0), 30.0 * 3.0 * kTrials);
+  // Since an anchor its variance has grown in proportion to the time, up to there.
+  for (const double share : { 0.0, 0.3, 0.7, 1.0, 5.0 })
+  {
+    expectChiSquare(squaredError(1.0, share * options.tissue_time), 3.0 * kTrials, "tissue since the anchor");
+  }
+}
+// Tissue that feigns a rotation besides, a degree a millimetre, as far as the estimate follows what is measured.
+TEST(Covariance, HasTheRotationThatTissueFeigns)
+{
+  constexpr int kTrials = 1000;
+  const Scene scene{ cyberknife(), { 12.0, -9.0, 15.0 } };
+  for (const TrackModel model : { TrackModel::TRANSLATION, TrackModel::EUCLIDEAN, TrackModel::AFFINE })
+  {
+    MotionEstimationOptions options;
+    options.floor_sigma = 0.2 * kPixel;
+    options.linear_floor_sigma = 0.003;
+    options.rotation_sigma = 1.5 * kDegree;
+    options.tissue_sigma = 0.7;
+    const MotionEstimator estimator = scene.estimator(options);
+    Random random(11 + static_cast<std::size_t>(model));
+    double squared_error = 0.0;
+    double of_rotation = 0.0;
+    for (int trial = 0; trial < kTrials; ++trial)
+    {
+      const Eigen::Vector3d rotation = options.rotation_sigma * random.normals(3);
+      const Eigen::Vector3d translation = random.inCube(8.0);
+      const Eigen::Vector3d feigned = 0.7 * kDegree * random.normals(3);
+      const Eigen::Vector3d tissue = 0.7 * random.normals(3);
+      auto tracks = scene.exactTracks(scene.motion(rotation + feigned, translation + tissue), model);
+      for (auto& measurement : tracks)
+      {
+        random.disturb(measurement->track, options);
+      }
+      const MotionEstimate estimate = estimator.estimate(tracks);
+      Vector6d error;
+      error << translation - estimate.translation,
+          vectorFromRotation(rotationFromVector(rotation) * rotationFromVector(estimate.rotation).transpose());
+      squared_error += error.dot(estimate.covariance.llt().solve(error));
+      const Eigen::Vector3d turned = error.tail<3>();
+      of_rotation += turned.dot(estimate.covariance.bottomRightCorner<3, 3>().llt().solve(turned));
+    }
+    const std::string what = std::to_string(static_cast<int>(model)) + " parameters, ";
+    expectChiSquare(squared_error, 6.0 * kTrials, what + "pose");
+    expectChiSquare(of_rotation, 3.0 * kTrials, what + "rotation");
+  }
 }
 }  // namespace
 }  // namespace xray_tracking

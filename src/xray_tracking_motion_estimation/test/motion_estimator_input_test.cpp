@@ -147,6 +147,8 @@ TEST(BadInput, OptionsNameTheKey)
   }
   refused("tissue_sigma", &MotionEstimationOptions::tissue_sigma, -0.1);
   refused("tissue_sigma", &MotionEstimationOptions::tissue_sigma, kNaN);
+  refused("tissue_time", &MotionEstimationOptions::tissue_time, 0.0);
+  refused("tissue_time", &MotionEstimationOptions::tissue_time, kNaN);
   refused("significance", &MotionEstimationOptions::significance, 1.0);
   refused("min_view_angle", &MotionEstimationOptions::min_view_angle, 2.0);
   EXPECT_THROW(estimationMethodFromName("Least_Squares"), std::invalid_argument);

@@ -36,6 +36,7 @@ RunMemory someMemory()
   reference.learnt_at = initialPose();
   reference.room_from_patient = moved(initialPose(), { M_PI, 0.1, -1e-9 });
   reference.anchor = someTrack();
+  reference.anchor_stamp = 1700000000987654321;
   reference.registered = true;
   motion.references = { reference, std::nullopt };
   motion.reference = moved(initialPose(), { 1.0 / 7.0, 0.0, 0.0 });
@@ -65,6 +66,7 @@ TEST(MotionMemory, ComesBackAsItWas)
   EXPECT_EQ(reference.learnt_at.matrix(), initialPose().matrix());
   EXPECT_EQ(reference.room_from_patient.matrix(), was.motion->references[0]->room_from_patient.matrix());
   EXPECT_TRUE(reference.registered);
+  EXPECT_EQ(reference.anchor_stamp, 1700000000987654321);
   ASSERT_TRUE(reference.anchor);
   EXPECT_EQ(reference.anchor->model, TrackModel::EUCLIDEAN);
   EXPECT_EQ(reference.anchor->warp(), someTrack().warp());

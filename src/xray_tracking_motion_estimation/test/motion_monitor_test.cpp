@@ -6,6 +6,7 @@
 #include <vector>
 
 #include <gtest/gtest.h>
+#include <Eigen/Eigenvalues>
 
 #include "scene.h"
 
@@ -204,6 +205,46 @@ TEST_F(MonitorTest, TheTrackedPoseComesAtTheDeadlineAndALateAnswerMovesWhatFollo
   decision = this->decision();
   expectPose(decision, PoseSource::TRACKED, { 2.0, 0.3, 0.0 }, 1e-3);
   EXPECT_EQ(decision.not_registered, "the probability is 0.4");
+}
+
+// From the registered exposure on tissue's variance grows with the time, up to what it is for templates that nothing
+// was registered with. What the tracks and the registration are uncertain by stands beside it in all of them.
+TEST_F(MonitorTest, TissueIsWhatHasGatheredSinceTheLastRegistration)
+{
+  options.tracks.estimation.tissue_sigma = 0.8;
+  options.tracks.estimation.tissue_time = 1.0;
+  start();
+  const auto largestSigma = [](const MotionDecision& decision)
+  {
+    return std::sqrt(Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(decision.displacement_covariance).eigenvalues()[2]);
+  };
+  const auto tissueOfTracked = [&]()
+  {
+    expose({ 1.0, 0.0, 0.0 });
+    monitor->onReply(doubted(request().id), now);
+    const MotionDecision decision = this->decision();
+    EXPECT_EQ(decision.source, PoseSource::TRACKED);
+    const double others = std::pow(largestSigma(decision), 2) - decision.tissue_variance;
+    EXPECT_GT(others, 0.0);
+    EXPECT_LT(others, 0.25 * 0.25);
+    return std::sqrt(decision.tissue_variance);
+  };
+  EXPECT_NEAR(tissueOfTracked(), 0.8, 1e-9);
+  // After a refusal it takes two.
+  for (int i = 0; i < 2; ++i)
+  {
+    EXPECT_EQ(registered({ 1.0, 0.0, 0.0 }).tissue_variance, 0.0);
+  }
+  for (const double share : { 0.2, 0.4, 0.6, 0.8, 1.0, 1.0 })
+  {
+    EXPECT_NEAR(tissueOfTracked(), 0.8 * std::sqrt(share), 1e-9);
+  }
+  registered({ 1.0, 0.0, 0.0 });
+  registered({ 1.0, 0.0, 0.0 });
+  EXPECT_NEAR(tissueOfTracked(), 0.8 * std::sqrt(0.2), 1e-9);
+  // A view that has learnt its region anew was not registered since: its track may carry the pose away by itself.
+  trained[1] = { stamp, { 1.0, 0.0, 0.0 } };
+  EXPECT_NEAR(tissueOfTracked(), 0.8, 1e-9);
 }
 
 TEST_F(MonitorTest, ExposuresWaitBehindEachOtherAndComeInOrder)

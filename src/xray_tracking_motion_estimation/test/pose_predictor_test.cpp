@@ -230,9 +230,7 @@ TEST(PosePredictor, KeepsWhatNoFilterCanRemove)
 // It is an error that stays: nothing is filtered otherwise, from the first exposure on.
 TEST(PosePredictor, TissueOnlyAddsToTheCovariance)
 {
-  PosePredictorOptions options;
-  options.tissue_sigma = 1.0;
-  PosePredictor with(options, traceTarget());
+  PosePredictor with({}, traceTarget());
   PosePredictor without({}, traceTarget());
   const MotionTrace trace = breathing(5, 5.0);
   NoisyTracker tracker{ sigmas(0.1, 0.002), std::mt19937(6) };
@@ -242,7 +240,7 @@ TEST(PosePredictor, TissueOnlyAddsToTheCovariance)
     const std::int64_t stamp = std::llround(1e9 * time);
     Matrix6d more = covariance;
     more.diagonal().head<3>().array() += 1.0;
-    ASSERT_TRUE(with.add(stamp, pose, more) && without.add(stamp, pose, covariance));
+    ASSERT_TRUE(with.add(stamp, pose, more, 1.0) && without.add(stamp, pose, covariance));
     const PosePrediction a = *with.predict(stamp + kLatency);
     const PosePrediction b = *without.predict(stamp + kLatency);
     EXPECT_LT(poseError(a.room_from_patient, b.room_from_patient).norm(), 1e-6);
@@ -358,9 +356,6 @@ TEST(PosePredictor, RefusesBadOptions)
   EXPECT_THROW(PosePredictor(options, traceTarget()), std::invalid_argument);
   options = {};
   options.max_gap = 0.1;
-  EXPECT_THROW(PosePredictor(options, traceTarget()), std::invalid_argument);
-  options = {};
-  options.tissue_sigma = -1.0;
   EXPECT_THROW(PosePredictor(options, traceTarget()), std::invalid_argument);
 }
 }  // namespace

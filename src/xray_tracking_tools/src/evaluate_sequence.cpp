@@ -170,7 +170,7 @@ ExposureRecord recordOf(const MotionDecision& decision, const OfflineRun& run, b
   return record;
 }
 
-Method makeMethod(const std::string& name, const TreatmentSetup& setup, CtModels& models)
+Method makeMethod(const std::string& name, const TreatmentSetup& setup, CtModels& models, int refine_every)
 {
   if (name == kPaperRegistration)
   {
@@ -187,7 +187,8 @@ Method makeMethod(const std::string& name, const TreatmentSetup& setup, CtModels
   }
   const bool paper = name == kPaperTracking;
   const PoseMethod method = paper ? PoseMethod::TRACKING : poseMethodFromName(name);
-  const auto run = std::make_shared<OfflineRun>(setup, method, needsCt(name) ? models.twoBodies() : nullptr, paper);
+  const auto run =
+      std::make_shared<OfflineRun>(setup, method, needsCt(name) ? models.twoBodies() : nullptr, refine_every, paper);
   return [run, method](std::int64_t stamp_ns, const std::vector<cv::Mat>& images)
   {
     const MotionDecision decision = run->add(stamp_ns, images);
@@ -201,12 +202,12 @@ Method makeMethod(const std::string& name, const TreatmentSetup& setup, CtModels
 }
 
 /// @param times whether the result has them, too
-MethodResult runMethod(const std::string& name, const ExposureSource& source, CtModels& models, bool times,
-                       RecordWriter& records, std::vector<std::string>& problems)
+MethodResult runMethod(const std::string& name, const ExposureSource& source, CtModels& models, int refine_every,
+                       bool times, RecordWriter& records, std::vector<std::string>& problems)
 {
   MethodResult result;
   result.method = name;
-  const Method method = makeMethod(name, source.setup, models);
+  const Method method = makeMethod(name, source.setup, models, refine_every);
   bool verified = false;
   std::string doubt;
   Progress progress(name);
@@ -267,6 +268,8 @@ int evaluateSequence(const po::variables_map& arguments)
   {
     source.keepFirst(arguments["frames"].as<int>());
   }
+  const int refine_every = arguments["refine_every"].as<int>();
+  requireAtLeast("--refine_every", refine_every, 1);
   const bool has_ct = !source.setup.ct_path.empty();
   const std::vector<std::string> methods =
       methodsOf(arguments.count("methods") != 0 ? arguments["methods"].as<std::string>()
@@ -300,12 +303,14 @@ int evaluateSequence(const po::variables_map& arguments)
   std::vector<std::string> problems;
   for (const std::string& method : methods)
   {
-    evaluation.methods.push_back(runMethod(method, source, models, arguments.count("times") != 0, records, problems));
+    evaluation.methods.push_back(
+        runMethod(method, source, models, refine_every, arguments.count("times") != 0, records, problems));
   }
   records.close();
   writeEvaluation(evaluation, out);
   writeGoldStandard(evaluation, out);
   nlohmann::json run = describeRun(source, methods);
+  run["settings"]["registration asked every [exposures]"] = refine_every;
   const auto pictured = std::find_if(kPictured.begin(), kPictured.end(),
                                      [&methods](const std::string& method)
                                      { return std::find(methods.begin(), methods.end(), method) != methods.end(); });
@@ -331,8 +336,8 @@ int main(int argc, char** argv)
 {
   xray_tracking::CommandLine command_line;
   command_line.usage =
-      "--sequence DIR | --bag BAG [--setup SETUP.yaml] --out DIR [--methods LIST] [--frames N] [--times] "
-      "[--no_report]";
+      "--sequence DIR | --bag BAG [--setup SETUP.yaml] --out DIR [--methods LIST] [--frames N] "
+      "[--refine_every 1] [--times] [--no_report]";
   command_line.description =
       "Runs methods over a sequence folder's or a bag's exposures without ROS, by the rules of the live graph and as\n"
       "fast as the machine goes, and judges them as evaluate_bag does: report.html, what it is made of, a table. The "
@@ -346,7 +351,9 @@ int main(int argc, char** argv)
       "methods", po::value<std::string>(),
       "some of tracking, registration, tracking_and_registration, paper_tracking, paper_registration, with commas; "
       "default: the first three, without a CT the first")("frames", po::value<int>(), "the first N exposures alone")(
-      "times", "tre.csv and summary.json have the times too, which differ from run to run")(
+      "refine_every", po::value<int>()->default_value(1),
+      "the registration is asked for every N-th exposure, as where it takes longer than an interval; those in between "
+      "are tracked")("times", "tre.csv and summary.json have the times too, which differ from run to run")(
       "no_report", "of runs whose results are put together later: no report.html");
   return xray_tracking::runCommand(argc, argv, command_line, xray_tracking::evaluateSequence);
 }

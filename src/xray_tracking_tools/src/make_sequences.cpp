@@ -1,10 +1,7 @@
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
-#include <fstream>
-#include <iomanip>
 #include <iostream>
-#include <limits>
 #include <memory>
 #include <optional>
 #include <sstream>
@@ -12,8 +9,7 @@
 #include <string>
 #include <vector>
 
-#include <opencv2/imgcodecs.hpp>
-
+#include "make_sequences/sequence_files.h"
 #include "xray_tracking_core/sequence/sequence.h"
 #include "xray_tracking_core/volume/neck_phantom.h"
 #include "xray_tracking_detector_simulator/anatomy.h"
@@ -206,41 +202,21 @@ public:
   {
     std::filesystem::create_directories(folder_);
     writeCt();
-    saveTreatmentSetup(setup_, (folder_ / "sequence.yaml").string());
-    std::ofstream yaml(folder_ / "sequence.yaml", std::ios::app);
-    yaml << "frames: frames.csv\ngold_standard: gold_standard.csv\n";
-    std::ofstream frames(folder_ / "frames.csv");
-    std::ofstream gold(folder_ / "gold_standard.csv");
-    frames << "stamp_s,detector,file\n";
-    gold << "stamp_s,tx_mm,ty_mm,tz_mm,qx,qy,qz,qw\n" << std::setprecision(std::numeric_limits<double>::max_digits10);
+    SequenceFiles files(folder_, setup_);
     const SimulatedMotion motion(scenario_.motion, setup_.room_from_patient, setup_.targetCentre(), scenario_.seed);
     ImageFormation formation(scenario_.image, setup_.intensity, scenario_.seed);
     for (int k = 0; k < frames_; ++k)
     {
-      std::ostringstream stamp;
-      stamp << std::fixed << std::setprecision(1) << k * kInterval;
       const BodyPoses poses = motion.poses(k);
-      const RigidTransform& pose = poses.room_from_target;
-      const Eigen::Quaterniond rotation(pose.linear());
-      gold << stamp.str() << ',' << pose.translation().x() << ',' << pose.translation().y() << ','
-           << pose.translation().z() << ',' << rotation.x() << ',' << rotation.y() << ',' << rotation.z() << ','
-           << rotation.w() << '\n';
+      std::vector<cv::Mat> images;
       for (std::size_t d = 0; d < setup_.detectors.size(); ++d)
       {
-        std::ostringstream name;
-        name << setup_.detectors[d].name() << '_' << std::setw(4) << std::setfill('0') << k << ".png";
-        writeImage(name.str(), poses, d, k, formation);
-        frames << stamp.str() << ',' << setup_.detectors[d].name() << ',' << name.str() << '\n';
+        images.push_back(image(poses, d, k, formation));
       }
+      files.add(k * kInterval, poses.room_from_target, images);
       progress(static_cast<std::size_t>(k) + 1, static_cast<std::size_t>(frames_));
     }
-    yaml.close();
-    frames.close();
-    gold.close();
-    if (!yaml || !frames || !gold)
-    {
-      throw std::runtime_error(folder_.string() + ": cannot be written");
-    }
+    files.close();
   }
 
 private:
@@ -260,7 +236,7 @@ private:
     std::filesystem::rename(partial, ct_file_);
   }
 
-  void writeImage(const std::string& name, const BodyPoses& poses, std::size_t d, int k, ImageFormation& formation)
+  cv::Mat image(const BodyPoses& poses, std::size_t d, int k, ImageFormation& formation)
   {
     const ProjectionGeometry& detector = setup_.detectors[d];
     const Eigen::Vector3d centre = setup_.room_from_patient * setup_.targetCentre();
@@ -271,12 +247,9 @@ private:
     {
       addWire(*scenario_.wire, detector, room_from_rest, wirePose(*scenario_.wire, setup_), bone_);
     }
-    formation.form(soft_, bone_, static_cast<int>(d), k, counts_);
-    const std::string path = (folder_ / name).string();
-    if (!cv::imwrite(path, counts_, { cv::IMWRITE_PNG_COMPRESSION, 1 }))
-    {
-      throw std::runtime_error(path + ": cannot be written");
-    }
+    cv::Mat counts;
+    formation.form(soft_, bone_, static_cast<int>(d), k, counts);
+    return counts;
   }
 
   const Scenario& scenario_;
@@ -285,7 +258,7 @@ private:
   NeckPhantom phantom_;
   TreatmentSetup setup_;
   std::string ct_file_;
-  cv::Mat soft_, bone_, counts_;
+  cv::Mat soft_, bone_;
 };
 
 int makeSequences(const po::variables_map& arguments)

@@ -13,6 +13,7 @@
 #include <rosbag/view.h>
 #include <sensor_msgs/CompressedImage.h>
 #include <sensor_msgs/Image.h>
+#include <nlohmann/json.hpp>
 #include <opencv2/imgcodecs.hpp>
 
 #include "test_helpers.h"
@@ -186,6 +187,34 @@ TEST(EvaluateSequence, ReportsASequenceOfTheStandardSet)
   const std::string report = contents(folder.file("out/report.html"));
   EXPECT_NE(report.find("data:image/jpeg;base64,"), std::string::npos);
   EXPECT_NE(report.find("data:image/png;base64,"), std::string::npos) << "the DRR's edges";
+}
+
+/// All of a random sequence hangs on its seed; the campaign makes, judges and deletes them.
+TEST(RandomSequences, HangOnTheSeedAndAreJudged)
+{
+  const TemporaryFolder folder;
+  for (const char* out : { "a", "b" })
+  {
+    ASSERT_EQ(0, run("make_random_sequences " + folder.file(out) + " --seed 2 --exposures 2").status);
+  }
+  for (const char* name : { "sequence.yaml", "frames.csv", "gold_standard.csv", "scenario.json", "ct.nrrd",
+                            "detector_a_0000.png", "detector_b_0001.png" })
+  {
+    const std::string once = contents(folder.file(std::string("a/random_2/") + name));
+    EXPECT_FALSE(once.empty()) << name;
+    EXPECT_EQ(once, contents(folder.file(std::string("b/random_2/") + name))) << name;
+  }
+  // Of seed 2 the start is right and every exposure is registered; the gate opens with the fifth.
+  const CommandResult result = run("trust_campaign " + folder.file("campaign") + " --seed 2 --count 1 --exposures 8");
+  EXPECT_EQ(0, result.status) << result.output;
+  const nlohmann::json judged = nlohmann::json::parse(contents(folder.file("campaign/trust.json")));
+  const nlohmann::json& sequence = judged.at("sequences").at(0);
+  EXPECT_EQ("right", sequence.at("start"));
+  EXPECT_EQ(7, sequence.at("poses"));
+  EXPECT_GE(sequence.at("open"), 3);
+  EXPECT_TRUE(sequence.at("violations").empty()) << sequence;
+  EXPECT_FALSE(std::filesystem::exists(folder.file("campaign/work")));
+  EXPECT_NE(contents(folder.file("campaign/trust.md")).find("| set | right | 1 | 7 | 7 |"), std::string::npos);
 }
 
 class SharedSequence : public testing::Test

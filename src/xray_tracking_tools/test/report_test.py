@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 HERE = os.path.dirname(os.path.realpath(__file__))
 SCRIPTS = os.path.join(HERE, '..', 'scripts')
 sys.path.insert(0, SCRIPTS)
-from xray_tracking_report import baseline, cohort, figures, findings, report, results, statistics  # noqa: E402
+from xray_tracking_report import baseline, cohort, figures, findings, report, results, statistics, trust  # noqa: E402
 
 BOX = (numpy.array([-24.0, -8.0, -11.0]), numpy.array([26.0, 39.0, 13.0]))
 UPPER = [(i, j) for i in range(6) for j in range(i, 6)]
@@ -134,6 +134,11 @@ class Statistics(unittest.TestCase):
             wrong = statistics.calibration(nees * 4.0, freedom)  # standard deviations half as large as they are
             self.assertLess(wrong.high, 0.95)
 
+    def test_bound_of_a_probability_where_it_is_elementary(self):
+        self.assertAlmostEqual(1.0 - 0.05 ** (1.0 / 3000.0), trust.upper_bound(0, 3000), 12)
+        self.assertAlmostEqual(0.95 ** (1.0 / 7.0), trust.upper_bound(6, 7), 12)  # all seven wrong: 0.95
+        self.assertEqual((1.0, 1.0), (trust.upper_bound(0, 0), trust.upper_bound(4, 4)))
+
     def test_errors_are_along_and_about_the_room_axes(self):
         method, gold = results.Method('a', 1), results.Poses(1)
         pose = Rotation.from_rotvec([0.4, -1.1, 0.7])
@@ -165,6 +170,33 @@ class Statistics(unittest.TestCase):
         self.assertEqual(50.0, numpy.nanmax(kept))
         self.assertTrue(numpy.isnan(kept).any())
         self.assertTrue((numpy.diff(frames) > 0).all())
+
+
+class Trust(Folder):
+    def test_covariance_is_judged_by_source(self):
+        # The covariance is 0.01 along all of the pose; carried to the box's centre c the shift along x has the variance
+        # 0.01 (1 + c_y^2 + c_z^2), and correlations with rotations, of which none is off.
+        errors = [0.0, 0.1, -0.2, 0.4, math.nan]
+        write_results(self.path('a'), {'tracking': errors}, [0.0, 1.0, 2.0, 3.0, 4.0])
+        answers = trust.answers(self.path('a'))['tracking']
+        self.assertEqual(['tracked'] * 3 + ['none'], answers.source)
+        self.assertTrue(answers.open.all())
+        # Of the pose it is e^2 / 0.01, wherever the covariance is taken.
+        numpy.testing.assert_allclose(answers.nees6[:3], [1.0, 4.0, 16.0], rtol=1e-9)
+        self.assertIsNone(trust.calibration_row([answers], 'registered'))
+        centre, pose = trust.calibration_row([answers, answers], 'tracked')
+        self.assertEqual((6, 6), (centre.n, pose.n))
+        self.assertAlmostEqual(7.0, pose.mean, 9)
+        self.assertEqual(4, pose.within)  # 16 is beyond chi-square's 12.6
+        told = subprocess.run([os.path.join(SCRIPTS, 'judge_trust'), self.path('a')], capture_output=True, text=True,
+                              check=True).stdout
+        self.assertIn('| a, tracking | tracked | 3 |', told)
+        self.assertIn('| 7.00 | 67 %', told)
+        write_results(self.path('b'), {'tracking': errors}, [0.0, 1.0, 2.0, 3.0, 4.0], gold=False)
+        refused = subprocess.run([os.path.join(SCRIPTS, 'judge_trust'), self.path('b')], capture_output=True, text=True,
+                                 check=False)
+        self.assertEqual(1, refused.returncode)
+        self.assertIn('no gold standard', refused.stderr)
 
 
 class Reports(Folder):

@@ -33,6 +33,7 @@ struct MotionDecision
   RigidTransform room_from_patient = RigidTransform::Identity();
   /// Of (translation of the patient frame's origin [mm], rotation vector about the fixed room axes [rad]).
   PoseCovariance pose_covariance = PoseCovariance::Zero();
+  double tissue_variance = 0.0;  ///< as in MotionEstimate; none in a registered pose
   /// Of the target's centre since the initial pose, room axes [mm], and its covariance [mm^2].
   Eigen::Vector3d displacement = Eigen::Vector3d::Zero();
   Eigen::Matrix3d displacement_covariance = Eigen::Matrix3d::Zero();

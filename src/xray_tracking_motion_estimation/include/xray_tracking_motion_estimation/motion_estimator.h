@@ -52,8 +52,13 @@ struct MotionEstimationOptions
 
   /// Standard deviation, along any room axis, of what tracking takes for the target's motion and is that of other
   /// tissue in its regions [mm], >= 0. It looks like motion to all views, so that no track tells of it: part of the
-  /// covariance of the target's centre, not of weights and consistency.
+  /// covariance of the target's centre and, a degree a millimetre, of the rotation that is measured, not of weights and
+  /// consistency.
   double tissue_sigma = 0.0;
+
+  /// How long after a view's anchor tissue has got there [s], > 0: at the anchor what it had made of the track was
+  /// taken out, and from there on its variance grows in proportion to the time, as a random walk's. A breath.
+  double tissue_time = 4.0;
 
   /// Views whose rays through the target are nowhere further apart than this are refused [rad], in (0, pi / 2).
   double min_view_angle = 0.0873;
@@ -65,8 +70,10 @@ struct MotionEstimationOptions
 /// What one view saw of an exposure.
 struct ViewMeasurement
 {
-  RigidTransform room_from_patient;  ///< pose at the exposure that the view's template was trained on
+  RigidTransform room_from_patient;  ///< pose at the exposure that the track counts from
   Track track;
+  /// Time since that exposure, if it was registered while the template was tracked [s].
+  std::optional<double> since_anchor = std::nullopt;
 };
 
 enum class EstimateStatus
@@ -99,6 +106,9 @@ struct MotionEstimate
   /// Of the target's centre [mm] and a further rotation vector about it, room axes [rad]. A direction of rotation that
   /// was not seen has the options' variance.
   Matrix6d covariance = Matrix6d::Zero();
+
+  /// Part of the centre's variance along any axis that is tissue's, the same for many exposures [mm^2].
+  double tissue_variance = 0.0;
 
   /// The reference pose moved by the above, eq. (8).
   RigidTransform room_from_patient = RigidTransform::Identity();
@@ -180,6 +190,7 @@ private:
   void backProject(const std::vector<std::optional<ViewMeasurement>>& measurements, const Observations& observations,
                    Motion& motion, Matrix6d& covariance) const;
   bool judgeConsistency(const Observations& observations, const Motion& motion, MotionEstimate& estimate) const;
+  double tissueVariance(const std::vector<std::optional<ViewMeasurement>>& measurements) const;
   void fillPose(const Motion& motion, MotionEstimate& estimate) const;
   std::string viewNames(const Observations& observations) const;
 

@@ -21,9 +21,6 @@ struct PosePredictorOptions
   /// latency.
   double max_gap = 1.0;
 
-  /// Part of the centre's standard deviation along any axis that stays for many exposures [mm], >= 0: it is no noise.
-  double tissue_sigma = 0.0;
-
   /// @throws std::invalid_argument naming the key, its value and what was expected
   void validate() const;
 };
@@ -54,8 +51,11 @@ public:
   /// A measured pose, its covariance as in PosePrediction. It is ignored unless it is newer than the last one, finite,
   /// and its variances are positive. After a gap, or after more than half a radian of rotation, prediction starts over.
   /// @param stamp exposure time [ns]
+  /// @param tissue_variance part of the centre's variance along any axis that stays for many exposures and is no noise
+  /// [mm^2], >= 0
   /// @return false if it was ignored
-  bool add(std::int64_t stamp, const RigidTransform& room_from_patient, const PoseCovariance& covariance);
+  bool add(std::int64_t stamp, const RigidTransform& room_from_patient, const PoseCovariance& covariance,
+           double tissue_variance = 0.0);
 
   /// @param stamp [ns], from the last pose's up to the maximal gap later
   /// @return nothing out of this range, or if there is no pose

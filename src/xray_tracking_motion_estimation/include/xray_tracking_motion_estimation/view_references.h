@@ -20,6 +20,7 @@ struct ViewReference
   RigidTransform learnt_at;          ///< the pose at which it was learnt
   RigidTransform room_from_patient;  ///< what tracks count from: `learnt_at`, or the anchor's
   std::optional<Track> anchor;       ///< how the template was tracked there
+  std::int64_t anchor_stamp = 0;     ///< the anchor's exposure [ns]
   bool registered = false;           ///< both poses are known from registrations, or were corrected by one
 };
 
@@ -43,12 +44,12 @@ public:
   /// Finds what the view's template is relative to. @return false if the pose of its exposure is not known
   bool find(std::size_t view, const TrackedView& tracked);
 
-  /// After find(). @param track of the view, with all that it is uncertain by
-  ViewMeasurement measurement(std::size_t view, const Track& track) const;
+  /// After find(). @param track of the view, with all that it is uncertain by; @param stamp of its exposure [ns]
+  ViewMeasurement measurement(std::size_t view, const Track& track, std::int64_t stamp) const;
 
   /// From here on the view's track counts from this exposure, at this pose: what it was wrong by until then is out of
-  /// it. Nothing happens if the view has got a newer template meanwhile.
-  void anchor(std::size_t view, const TrackedView& tracked, const Track& track,
+  /// it. Nothing happens if the view has got a newer template meanwhile. @param stamp of the exposure [ns]
+  void anchor(std::size_t view, const TrackedView& tracked, const Track& track, std::int64_t stamp,
               const RigidTransform& room_from_patient);
 
   /// Moves all poses that were tracked, not registered, as a refinement does, once. If it was found without tracks,

@@ -65,6 +65,7 @@ MotionEstimationParameters readMotionEstimationParameters(const ros::NodeHandle&
   own.read("linear_floor_sigma", estimation.linear_floor_sigma);
   own.read("rotation_sigma", estimation.rotation_sigma);
   own.read("tissue_sigma", estimation.tissue_sigma);
+  own.read("tissue_time", estimation.tissue_time);
   own.read("min_view_angle", estimation.min_view_angle);
   own.read("queue_size", parameters.queue_size);
   own.read("view_timeout", parameters.view_timeout);

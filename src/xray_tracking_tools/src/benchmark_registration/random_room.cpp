@@ -35,14 +35,15 @@ bool withProbability(std::mt19937& random, double probability)
   return between(random, 0.0, 1.0) < probability;
 }
 
-std::vector<ProjectionGeometry> randomRoom(std::mt19937& random, const Eigen::Vector3d& long_axis, double field_mm)
+std::vector<ProjectionGeometry> randomRoom(std::mt19937& random, const Eigen::Vector3d& long_axis, double field_mm,
+                                           const RoomLimits& limits)
 {
   const double kind = between(random, 0.0, 1.0);
-  const int views = kind < 0.04 ? 1 : kind < 0.8 ? 2 : 3;
+  const int views = std::max(limits.least_views, kind < 0.04 ? 1 : kind < 0.8 ? 2 : 3);
   const Eigen::Vector3d axis = turned(randomDirection(random), between(random, 0.0, 0.25)) * long_axis;
   const double source_distance = betweenLog(random, 450.0, 2600.0);
   const double magnification = betweenLog(random, 1.05, 3.0);
-  const int size = static_cast<int>(betweenLog(random, 256.0, 2048.0));
+  const int size = static_cast<int>(betweenLog(random, 256.0, limits.most_pixels));
   const double quarter = std::floor(between(random, 0.0, 4.0)) * 0.5 * EIGEN_PI;
   double angle = between(random, 0.0, 2.0 * EIGEN_PI);
   std::vector<ProjectionGeometry> detectors;

@@ -16,10 +16,18 @@ double between(std::mt19937& random, double low, double high);
 double betweenLog(std::mt19937& random, double low, double high);
 bool withProbability(std::mt19937& random, double probability);
 
+/// What a random room may have.
+struct RoomLimits
+{
+  int least_views = 1;     ///< to 3
+  int most_pixels = 2048;  ///< a side, from 256 on
+};
+
 /// One to three detectors around the room's origin, whose central rays are 20 to 90 degrees apart about an axis near
 /// `long_axis`; magnifications of 1.05 to 3, images of 256 to 2048 pixels a side, panels off-centre, turned and tilted.
 /// @param field_mm what they see at the origin [mm]
-std::vector<ProjectionGeometry> randomRoom(std::mt19937& random, const Eigen::Vector3d& long_axis, double field_mm);
+std::vector<ProjectionGeometry> randomRoom(std::mt19937& random, const Eigen::Vector3d& long_axis, double field_mm,
+                                           const RoomLimits& limits = {});
 
 /// One make of detector with its beam, at random: kV of one or five energies, or MV; scatter, dose, blur, correlated
 /// noise, fixed pattern; collimated or not; counts as they are, or brought to 8, 12 or 16 bit by a tone curve, with

@@ -141,48 +141,6 @@ void addNoise(CtVolume& ct, double deviation, std::mt19937& random)
   }
 }
 
-RandomAnatomy scannedAnatomy(std::mt19937& random, const Scans::Scan& scan, bool xrayed)
-{
-  RandomAnatomy made;
-  made.box = randomBox(random, scan);
-  made.name = scan.name;
-  if (xrayed)
-  {
-    const double wave = between(random, 0.0, 4.0);
-    made.anatomy = std::make_shared<DeformingCt>(scan.ct, rigidWith(scan.coarse, made.box), wave,
-                                                 0.9 * std::min(1.0, scan.ct->grid.spacing().minCoeff()));
-  }
-  // What is registered is coarser than what is X-rayed.
-  const Eigen::Vector3d spacing = scan.ct->grid.spacing();
-  const double voxel = std::max(spacing.x(), between(random, 0.8, 2.0));
-  const double slice = std::max(spacing.z(), betweenLog(random, 1.0, 3.0));
-  const double margin = withProbability(random, 0.2) ? kEverything : between(random, 20.0, 100.0);
-  made.ct = resampled(*scan.ct, voxel, slice, grown(made.box, margin));
-  addNoise(made.ct, between(random, 0.0, 30.0), random);
-  if (withProbability(random, 0.2))
-  {
-    made.name += "; bone cut out";
-    cutOut(made.ct, targetMaskFromBone(made.ct, made.box, { 180.0, 2.0, 0.5, 1.5 }));
-  }
-  made.two_bodies = !withProbability(random, 0.1);
-  return made;
-}
-
-RandomAnatomy phantomAnatomy(std::mt19937& random)
-{
-  RandomAnatomy made;
-  const std::string target = "c" + std::to_string(3 + random() % 4);
-  made.name = "phantom " + target;
-  made.anatomy = std::make_shared<PhantomAnatomy>();
-  made.exact = true;
-  made.target_is_rest = target == "c6";
-  made.box = phantomBox(target);
-  const double voxel = between(random, 0.8, 2.0);
-  made.ct = phantomCt(voxel, std::max(voxel, betweenLog(random, 1.0, 3.0)));
-  made.two_bodies = !withProbability(random, 0.1);
-  return made;
-}
-
 RandomAnatomy limbAnatomy(std::mt19937& random, Limb::Kind kind)
 {
   const auto limb = std::make_shared<Limb>(kind, random);
@@ -249,6 +207,48 @@ Scans::Scans(const std::string& folder)
   }
 }
 
+RandomAnatomy scannedAnatomy(std::mt19937& random, const Scans::Scan& scan, bool xrayed)
+{
+  RandomAnatomy made;
+  made.box = randomBox(random, scan);
+  made.name = scan.name;
+  if (xrayed)
+  {
+    const double wave = between(random, 0.0, 4.0);
+    made.anatomy = std::make_shared<DeformingCt>(scan.ct, rigidWith(scan.coarse, made.box), wave,
+                                                 0.9 * std::min(1.0, scan.ct->grid.spacing().minCoeff()));
+  }
+  // What is registered is coarser than what is X-rayed.
+  const Eigen::Vector3d spacing = scan.ct->grid.spacing();
+  const double voxel = std::max(spacing.x(), between(random, 0.8, 2.0));
+  const double slice = std::max(spacing.z(), betweenLog(random, 1.0, 3.0));
+  const double margin = withProbability(random, 0.2) ? kEverything : between(random, 20.0, 100.0);
+  made.ct = resampled(*scan.ct, voxel, slice, grown(made.box, margin));
+  addNoise(made.ct, between(random, 0.0, 30.0), random);
+  if (withProbability(random, 0.2))
+  {
+    made.name += "; bone cut out";
+    cutOut(made.ct, targetMaskFromBone(made.ct, made.box, { 180.0, 2.0, 0.5, 1.5 }));
+  }
+  made.two_bodies = !withProbability(random, 0.1);
+  return made;
+}
+
+RandomAnatomy phantomAnatomy(std::mt19937& random)
+{
+  RandomAnatomy made;
+  const std::string target = "c" + std::to_string(3 + random() % 4);
+  made.name = "phantom " + target;
+  made.anatomy = std::make_shared<PhantomAnatomy>();
+  made.exact = true;
+  made.target_is_rest = target == "c6";
+  made.box = phantomBox(target);
+  const double voxel = between(random, 0.8, 2.0);
+  made.ct = phantomCt(voxel, std::max(voxel, betweenLog(random, 1.0, 3.0)));
+  made.two_bodies = !withProbability(random, 0.1);
+  return made;
+}
+
 RandomAnatomy randomAnatomy(std::mt19937& random, const Scans& scans, bool xrayed)
 {
   const double kind = between(random, 0.0, 1.0);
@@ -275,44 +275,59 @@ BodyModel bodiesOf(const RandomAnatomy& anatomy)
   return bodiesOf(recognisedCt(anatomy.ct), mask);
 }
 
-RandomSubject randomSubject(std::mt19937& random, const Scans& scans)
+RandomScene::RandomScene(std::mt19937& random, RandomAnatomy anatomy, const RoomLimits& limits)
+  : anatomy_(std::move(anatomy))
 {
-  constexpr int kExposures = 2;
-  RandomSubject subject{ randomAnatomy(random, scans, true), {} };
-  const Eigen::AlignedBox3d& box = subject.anatomy.box;
-  TreatmentSetup& setup = subject.exposures.setup;
-  setup.target_box = box;
-  // The target's centre is at the room's origin, the patient turned in any way.
-  RigidTransform nominal = RigidTransform::Identity();
+  const Eigen::AlignedBox3d& box = anatomy_.box;
+  setup_.target_box = box;
+  RigidTransform& nominal = setup_.room_from_patient;
   nominal.linear() = rotationFromVector(between(random, 0.0, EIGEN_PI) * randomDirection(random));
   nominal.translation() = -(nominal.linear() * box.center());
   const double field = box.sizes().norm() + 2.0 * between(random, 8.0, 35.0);
-  setup.detectors = randomRoom(random, nominal.linear() * Eigen::Vector3d::UnitZ(), field);
-  setup.room_from_patient = nominal;
+  setup_.detectors = randomRoom(random, nominal.linear() * Eigen::Vector3d::UnitZ(), field, limits);
   std::vector<cv::Rect> regions;
-  for (const ProjectionGeometry& detector : setup.detectors)
+  for (const ProjectionGeometry& detector : setup_.detectors)
   {
-    regions.push_back(projectedTargetRegion(setup, detector));
+    regions.push_back(projectedTargetRegion(setup_, detector));
   }
-  RandomDetectors detectors(random, setup.detectors, regions);
-  setup.intensity = detectors.intensity();
-  const Twist posture = randomTwist(random, between(random, 0.0, 4.0) * kDegree, between(random, 0.0, 6.0));
+  detectors_.emplace(random, setup_.detectors, regions);
+  setup_.intensity = detectors_->intensity();
+  posture_ = randomTwist(random, between(random, 0.0, 4.0) * kDegree, between(random, 0.0, 6.0));
+}
+
+std::vector<cv::Mat> RandomScene::images(const RigidTransform& room_from_target, const RigidTransform& room_from_rest,
+                                         int exposure)
+{
+  BodyPoses poses{ room_from_target, room_from_rest };
+  if (anatomy_.target_is_rest)
+  {
+    std::swap(poses.room_from_target, poses.room_from_rest);
+  }
+  std::vector<cv::Mat> images;
+  for (std::size_t d = 0; d < setup_.detectors.size(); ++d)
+  {
+    cv::Mat soft, bone;
+    materialsOf(anatomy_, setup_.detectors[d], poses, soft, bone);
+    images.push_back(detectors_->expose(soft, bone, static_cast<int>(d), exposure));
+  }
+  return images;
+}
+
+RandomSubject randomSubject(std::mt19937& random, const Scans& scans)
+{
+  constexpr int kExposures = 2;
+  RandomScene scene(random, randomAnatomy(random, scans, true));
+  RandomSubject subject{ scene.anatomy(), {} };
+  subject.exposures.setup = scene.setup();
+  const Eigen::Vector3d centre = scene.anatomy().box.center();
   for (int exposure = 0; exposure < kExposures; ++exposure)
   {
     const RigidTransform gold =
         motionAbout(Eigen::Vector3d::Zero(),
                     randomTwist(random, between(random, 0.0, 4.0) * kDegree, between(random, 2.0, 6.0))) *
-        nominal;
-    const RigidTransform rest = motionAbout(gold * box.center(), posture) * gold;
-    const BodyPoses poses = subject.anatomy.target_is_rest ? BodyPoses{ rest, gold } : BodyPoses{ gold, rest };
-    std::vector<cv::Mat> images;
-    for (std::size_t d = 0; d < setup.detectors.size(); ++d)
-    {
-      cv::Mat soft, bone;
-      materialsOf(subject.anatomy, setup.detectors[d], poses, soft, bone);
-      images.push_back(detectors.expose(soft, bone, static_cast<int>(d), exposure));
-    }
-    subject.exposures.images.push_back(images);
+        scene.setup().room_from_patient;
+    const RigidTransform rest = motionAbout(gold * centre, scene.posture()) * gold;
+    subject.exposures.images.push_back(scene.images(gold, rest, exposure));
     subject.exposures.room_from_patient.push_back(gold);
   }
   return subject;

@@ -2,9 +2,12 @@
 
 #include <map>
 #include <memory>
+#include <optional>
+#include <random>
 #include <string>
 #include <vector>
 
+#include "random_room.h"
 #include "subject.h"
 #include "xray_tracking_core/volume/ct_content.h"
 #include "xray_tracking_detector_simulator/anatomy.h"
@@ -48,11 +51,37 @@ struct RandomAnatomy
 
 /// @param xrayed else the anatomy, which takes time, is left out
 RandomAnatomy randomAnatomy(std::mt19937& random, const Scans& scans, bool xrayed);
+/// The neck phantom: one of C3 to C6, voxels and slices of its CT.
+RandomAnatomy phantomAnatomy(std::mt19937& random);
+/// A box around bone of a scan, and what of it is registered.
+RandomAnatomy scannedAnatomy(std::mt19937& random, const Scans::Scan& scan, bool xrayed);
 
 BodyModel bodiesOf(const RandomAnatomy& anatomy);
 
-/// Two exposures of a random anatomy in a random room, 4 to 12 mm apart, by random detectors, its rest up to 6 mm and 4
-/// degrees from where it was in the CT. All of it hangs on the seed alone.
+/// A random anatomy in a random room with random detectors, its rest up to 6 mm and 4 degrees from where it was in the
+/// CT. The target's centre is at the room's origin in the setup's pose, the patient turned in any way.
+class RandomScene
+{
+public:
+  RandomScene(std::mt19937& random, RandomAnatomy anatomy, const RoomLimits& limits = {});
+
+  const RandomAnatomy& anatomy() const { return anatomy_; }
+  const TreatmentSetup& setup() const { return setup_; }
+  /// Of the rest about the target's centre, room axes: how else than in the CT it lies.
+  const Twist& posture() const { return posture_; }
+
+  /// X-rays of an exposure, CV_16UC1. @param exposure index; noise hangs on it
+  std::vector<cv::Mat> images(const RigidTransform& room_from_target, const RigidTransform& room_from_rest,
+                              int exposure);
+
+private:
+  RandomAnatomy anatomy_;
+  TreatmentSetup setup_;
+  std::optional<RandomDetectors> detectors_;
+  Twist posture_;
+};
+
+/// Two exposures of a random scene, 4 to 12 mm apart. All of it hangs on the seed alone.
 struct RandomSubject
 {
   RandomAnatomy anatomy;

@@ -11,7 +11,7 @@ namespace
 {
 constexpr double kTimeBudget = 600.0;  // [s]: nothing waits, and a result is not to hang on the machine
 
-MotionMonitorOptions monitorOptions(const TreatmentSetup& setup, PoseMethod method, bool paper)
+MotionMonitorOptions monitorOptions(const TreatmentSetup& setup, PoseMethod method, int refine_every, bool paper)
 {
   MotionMonitorOptions options;
   options.method = method;
@@ -21,7 +21,8 @@ MotionMonitorOptions monitorOptions(const TreatmentSetup& setup, PoseMethod meth
   }
   if (method != PoseMethod::TRACKING)
   {
-    options.refinement.mode = RefinementMode::EVERY_FRAME;
+    options.refinement.mode = refine_every > 1 ? RefinementMode::EVERY_N : RefinementMode::EVERY_FRAME;
+    options.refinement.every_n = refine_every;
   }
   if (paper)
   {
@@ -74,9 +75,9 @@ TrackedView trackedView(const ViewAnswer& answer)
 }  // namespace
 
 OfflineRun::OfflineRun(const TreatmentSetup& setup, PoseMethod method, std::shared_ptr<const Registration> registration,
-                       bool paper)
+                       int refine_every, bool paper)
   : setup_(setup),
-    options_(monitorOptions(setup, method, paper)),
+    options_(monitorOptions(setup, method, refine_every, paper)),
     monitor_(options_, setup.room_from_patient, setup.targetCentre()),
     views_(setup.detectors.size()),
     registration_(std::move(registration))

@@ -23,11 +23,13 @@ class OfflineRun
 {
 public:
   /// @param registration null for a method that needs none
+  /// @param refine_every the registration is asked for every so-manieth exposure, and when the gate wants to know;
+  /// 1: for each
   /// @param paper as published: 600 single pixels, the predictors' steps alone, translations, eqs. (2) to (8); of
   /// method TRACKING
   /// @throws std::invalid_argument for a region or geometry that is of no use
   OfflineRun(const TreatmentSetup& setup, PoseMethod method, std::shared_ptr<const Registration> registration,
-             bool paper);
+             int refine_every, bool paper);
 
   /// The next exposure. @param images of the setup's detectors, in their order
   MotionDecision add(std::int64_t stamp_ns, const std::vector<cv::Mat>& images);
