@@ -77,7 +77,7 @@ OfflineRun::OfflineRun(const TreatmentSetup& setup, PoseMethod method, std::shar
                        bool paper)
   : setup_(setup),
     options_(monitorOptions(setup, method, paper)),
-    monitor_(options_, setup.room_from_patient, setup.targetCentre()),
+    monitor_(options_, setup.room_from_patient, setup.target_box),
     views_(setup.detectors.size()),
     registration_(std::move(registration))
 {
