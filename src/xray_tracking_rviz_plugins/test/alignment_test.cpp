@@ -240,10 +240,13 @@ TEST_F(AlignmentTest, ArrowsAndRingsAreDraggedByWhatTheMouseMoves)
                                       << "xyz"[axis] << " by " << way);
       const RigidTransform begun = *tried_;
       const Eigen::Vector3d arrow = begun * centre + 120.0 * Eigen::Vector3d::Unit(axis);  // 80 to 144 mm
-      drag(onScreen(arrow), onScreen(arrow + way * Eigen::Vector3d::Unit(axis)));
+      const QPoint from = onScreen(arrow), to = onScreen(arrow + way * Eigen::Vector3d::Unit(axis));
+      drag(from, to);
       const Eigen::Vector3d moved = *tried_ * centre - begun * centre;
-      // It is the arrow's side that is held, up to 20 mm nearer than its axis, of 600 mm; and a pixel is 0.5 mm.
-      EXPECT_NEAR(moved[axis], way, 1.5);
+      // Both places are rounded to pixels, and it is the arrow's side that is held, up to 20 mm of 600 nearer.
+      const double pixel = 20.0 / std::hypot(to.x() - from.x(), to.y() - from.y());  // [mm]
+      EXPECT_NEAR(moved[axis], way, 1.2 * pixel + 0.04 * 20.0);
+      EXPECT_LT(pixel, 3.0);
       EXPECT_LT((moved - moved[axis] * Eigen::Vector3d::Unit(axis)).norm(), 1e-3);
       EXPECT_LT(rotationAngle(*tried_ * begun.inverse()), 1e-5);
     }

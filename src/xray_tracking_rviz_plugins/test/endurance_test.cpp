@@ -84,7 +84,7 @@ protected:
       radiographs_->findChild<QComboBox*>("overlay")->setCurrentIndex(lived_ % overlays);
       manager_->getViewManager()->getCurrent()->subProp("Yaw")->setValue(0.1 * lived_);
       spin(1.0);
-      for (const DetectorPane* pane : radiographs_->panes())
+      for (DetectorPane* pane : radiographs_->panes())
       {
         rates_.push_back(pane->feed().messages().rate);
       }
