@@ -21,7 +21,11 @@ namespace xray_tracking
 {
 namespace
 {
-constexpr double kWarmUp = 60.0;  // charts and trails are full, caches made; a third of a run that is shorter [s]
+/// Till charts and trails are full and caches made; ten minutes are begun after a minute [s].
+double warmUp(double duration)
+{
+  return std::clamp(0.1 * duration, 8.0, 60.0);
+}
 
 /// What this process has taken of the machine.
 struct Usage
@@ -56,7 +60,10 @@ protected:
       rviz::Display* display = addDisplay(name);
       for (const char* plane : { "Axial", "Coronal", "Sagittal" })
       {
-        display->subProp("CT planes")->subProp(plane)->setValue(true);
+        if (name == "xray_tracking_rviz_plugins/Anatomy")
+        {
+          display->subProp("CT planes")->subProp(plane)->setValue(true);
+        }
       }
     }
     for (const std::string& name : ownClasses<rviz::Panel>("rviz::Panel"))
@@ -111,18 +118,23 @@ TEST_F(EnduranceTest, TakesNoMoreOfTheMachineThanAtFirst)
   };
   radiographs_->findChild<QComboBox*>("overlay")->setCurrentIndex(1);
   ASSERT_TRUE(spinUntil(rendered, 90.0)) << "no CT over the images";
-  live(std::min(kWarmUp, duration / 3.0));
+  live(warmUp(duration));
   const Usage before = Usage::now();
   rates_.clear();
-  live(duration);
-  const Usage after = Usage::now();
+  std::cout << "RViz alone: " << alone << "\nwith everything: " << before << std::endl;
+  Usage after;
+  for (int part = 1; part <= 10; ++part)
+  {
+    live(duration / 10.0);
+    after = Usage::now();
+    std::cout << "after " << part * duration / 10.0 << " s: " << after << std::endl;
+  }
   const double mean = std::accumulate(rates_.begin(), rates_.end(), 0.0) / static_cast<double>(rates_.size());
-  std::cout << "RViz alone: " << alone << "\nwith everything: " << before << "\n"
-            << duration << " s later: " << after << "\nimages of a detector: " << mean
-            << " Hz\nlongest event: " << 1e3 * TimedApplication::longest << " ms of processor, "
-            << 1e3 * TimedApplication::longest_wall << " ms of wall time" << std::endl;
-  // 60 images a second have 31 MB: one of a hundred that stays would be 3 MB in 10 s, and 190 MB in ten minutes.
-  EXPECT_LT(after.resident, before.resident + 20.0);
+  std::cout << "images of a detector: " << mean << " Hz\nlongest event: " << 1e3 * TimedApplication::longest
+            << " ms of processor, " << 1e3 * TimedApplication::longest_wall << " ms of wall time ("
+            << TimedApplication::longest_of << ")" << std::endl;
+  // What is freed goes back late. 60 images a second have 31 MB; in ten minutes this is 2 kB an exposure.
+  EXPECT_LT(after.resident, before.resident + 40.0);
   EXPECT_LE(after.descriptors, before.descriptors + 2);  // a service call's connection may be open just now
   EXPECT_LE(after.threads, before.threads + 2);
   EXPECT_GT(mean, 5.0);  // 30 where nothing else is done beside it
