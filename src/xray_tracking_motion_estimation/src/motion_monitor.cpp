@@ -33,15 +33,15 @@ GateReason gateFault(MotionState state)
 }  // namespace
 
 MotionMonitor::MotionMonitor(const MotionMonitorOptions& options, const RigidTransform& room_from_patient,
-                             const Eigen::Vector3d& target_centre)
+                             const Eigen::AlignedBox3d& target_box)
   : options_(options),
-    target_centre_(target_centre),
-    tracks_(options.tracks, room_from_patient, target_centre),
-    predictor_(options.prediction, target_centre),
-    refinement_(options.refinement, target_centre),
+    target_centre_(target_box.center()),
+    tracks_(options.tracks, room_from_patient, target_centre_),
+    predictor_(options.prediction, target_centre_),
+    refinement_(options.refinement, target_centre_),
     gate_(options.gate),
-    rules_(options.method, room_from_patient, target_centre),
-    proposer_(options.tracks.views.size(), target_centre)
+    rules_(options.method, room_from_patient, target_centre_),
+    proposer_(options.tracks.views.size(), target_box)
 {
 }
 
@@ -248,7 +248,7 @@ void MotionMonitor::begin(std::int64_t now)
   }
   else
   {
-    if (gate_.verification().due())
+    if (gate_.verification().due() || proposer_.learning())
     {
       refinement_.demand();  // whatever the mode
     }
@@ -381,6 +381,10 @@ void MotionMonitor::decide(std::int64_t now)
     predictor_.add(exposure.stamp, decision.room_from_patient, decision.pose_covariance, decision.tissue_variance);
     last_pose_ = { exposure.stamp, decision.room_from_patient };
     last_was_registered_ = registered;
+  }
+  if (last_pose_)
+  {
+    proposer_.place(exposure, *last_pose_, tracks_);
   }
   tellGate(decision, now);
   decisions_.push_back(std::move(decision));

@@ -96,6 +96,7 @@ std::string MotionMonitor::applyClaim(const Refinement& refinement)
   late_.reset();
   predictor_.reset();
   proposer_.restart();
+  proposer_.stated(refinement.stamp);
   rules_.confirm();
   gate_.stated(refinement.stamp, rules_.displacement(refinement.refined), rules_.rotation(refinement.refined),
                claim_refusal_);

@@ -127,6 +127,13 @@ void ViewReferences::carry(const Refinement& refinement, const Eigen::Vector3d& 
   }
 }
 
+std::optional<std::int64_t> ViewReferences::templateStamp(std::size_t view) const
+{
+  const std::optional<Reference>& reference = references_[view];
+  return reference && reference->template_stamp != kNoTemplate ? std::make_optional(reference->template_stamp)
+                                                               : std::nullopt;
+}
+
 std::optional<cv::Rect> ViewReferences::regionAt(std::size_t view, const ProjectionGeometry& geometry,
                                                  const RigidTransform& room_from_patient,
                                                  const Eigen::Vector3d& target_centre) const

@@ -20,7 +20,7 @@ using xray_tracking_msgs::TrackedRegion;
 using xray_tracking_msgs::TrainRegion;
 
 constexpr double kPatience = 0.3;  // with what belongs to an exposure and is late [s]
-constexpr double kLive = 1.0;      // a stream that came with one of the last exposures [s]
+constexpr double kLive = 1.0;      // a stream that ended no longer before the last exposures [s]
 constexpr double kOld = 2.0;       // an exposure, from when on it is said [s]
 constexpr std::chrono::seconds kTrainingTime(30);
 
@@ -45,9 +45,16 @@ QString number(double value, int decimals)
 }
 
 template <typename Message>
-void addIfLive(const Recent<Message>& stream, const ros::Time& newest, std::vector<std::vector<ros::Time>>& streams)
+void addIfLive(const Recent<Message>& stream, const std::vector<ros::Time>& images,
+               std::vector<std::vector<ros::Time>>& streams)
 {
-  if (!stream.empty() && std::abs((newest - stream.newest()->header.stamp).toSec()) <= kLive)
+  if (stream.empty())
+  {
+    return;
+  }
+  const ros::Time last = stream.newest()->header.stamp;
+  const ros::Time before = images[images.size() > 1 ? images.size() - 2 : 0];  // the newest one's may be yet to come
+  if ((before - last).toSec() <= kLive && (last - images.back()).toSec() <= kLive)
   {
     streams.push_back(stampsOf(stream));
   }
@@ -314,12 +321,12 @@ void DetectorPane::refresh(const Room& room, tf2_ros::Buffer& transforms,
   }
   else if (!messages.images.empty())
   {
-    const ros::Time newest = messages.images.newest()->header.stamp;
+    const std::vector<ros::Time> images = stampsOf(messages.images);
     std::vector<std::vector<ros::Time>> streams;
-    addIfLive(messages.regions, newest, streams);
-    addIfLive(messages.residuals, newest, streams);
-    addIfLive(poses, newest, streams);
-    const ros::Time stamp = exposureToShow(stampsOf(messages.images), streams, kPatience);
+    addIfLive(messages.regions, images, streams);
+    addIfLive(messages.residuals, images, streams);
+    addIfLive(poses, images, streams);
+    const ros::Time stamp = exposureToShow(images, streams, messages.image_age, kPatience);
     shown.image = messages.images.at(stamp);
     if (const auto pose = poses.at(stamp))
     {

@@ -6,10 +6,15 @@
 namespace xray_tracking
 {
 ros::Time exposureToShow(const std::vector<ros::Time>& images, const std::vector<std::vector<ros::Time>>& others,
-                         double patience)
+                         double age, double patience)
 {
-  for (auto image = images.rbegin(); image != images.rend() && (images.back() - *image).toSec() <= patience; ++image)
+  for (auto image = images.rbegin(); image != images.rend(); ++image)
   {
+    // What a next one has replaced, for how long.
+    if (image != images.rbegin() && (images.back() - *std::prev(image)).toSec() + age > patience)
+    {
+      break;
+    }
     const bool complete = std::all_of(others.begin(), others.end(),
                                       [&](const auto& stamps)
                                       { return std::find(stamps.begin(), stamps.end(), *image) != stamps.end(); });

@@ -64,10 +64,12 @@ private:
 };
 
 /// The stamp of the exposure to show: of those that all of the streams have, the newest; the newest image where a
-/// stream lags by more than `patience` [s], or is silent.
+/// stream is later than that by more than `patience` [s], or is silent. However slowly exposures come: what lies
+/// between two of them is no lateness.
 /// @param images stamps, oldest first, one or more; @param others those of what is shown along with them
+/// @param age of the newest image, since it came [s]
 ros::Time exposureToShow(const std::vector<ros::Time>& images, const std::vector<std::vector<ros::Time>>& others,
-                         double patience);
+                         double age, double patience);
 
 template <typename Message>
 std::vector<ros::Time> stampsOf(const Recent<Message>& recent)

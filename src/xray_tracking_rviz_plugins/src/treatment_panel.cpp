@@ -236,14 +236,15 @@ void TreatmentPanel::onInitialize()
       "(" + prefix + "([^/]+/(image_raw|camera_info|tracked_region)|patient_pose|patient_motion|predicted_pose|" +
           "beam_gate|refined_pose|patient_ground_truth)|/tf|/tf_static|/diagnostics|/rosout)",
       this);
-  connect(hold_, &QPushButton::clicked, this, [this] { link_->hold(true); });
-  connect(release_, &QPushButton::clicked, this, [this] { link_->hold(false); });
-  connect(train_, &QPushButton::clicked, this, [this] { link_->train(); });
+  connect(hold_, &QPushButton::clicked, this, [this] { link_->commands().hold(true); });
+  connect(release_, &QPushButton::clicked, this, [this] { link_->commands().hold(false); });
+  connect(train_, &QPushButton::clicked, this, [this] { link_->commands().train(); });
   connect(refine_, &QPushButton::clicked, this,
           [this]
           {
-            link_->view().commands[static_cast<std::size_t>(Command::REFINE)].busy ? link_->cancelRefinement()
-                                                                                   : link_->refine();
+            link_->view().commands[static_cast<std::size_t>(Command::REFINE)].busy
+                ? link_->commands().cancelRefinement()
+                : link_->commands().refine();
           });
   connect(reset_, &QPushButton::clicked, this, &TreatmentPanel::confirmReset);
   connect(load_, &QPushButton::clicked, this, &TreatmentPanel::chooseCt);
@@ -263,7 +264,7 @@ void TreatmentPanel::onInitialize()
 
 void TreatmentPanel::tick()
 {
-  const std::int64_t now = TreatmentLink::now();
+  const std::int64_t now = steadyNanoseconds();
   if (steady_ticks_ < kSteady)
   {
     steady_ticks_ = now - last_tick_ < 3 * kTick * kMillisecond ? steady_ticks_ + 1 : 0;
@@ -281,8 +282,8 @@ void TreatmentPanel::tick()
     bars_->display(view);
     showStatus(view);
     showCommands(view);
-    const TreatmentLink::Charts charts = link_->charts();
-    const TreatmentLink::Lights lights = link_->lights();
+    const TreatmentFeed::Charts charts = link_->feed().charts();
+    const TreatmentFeed::Lights lights = link_->feed().lights();
     const std::array<std::optional<double>, kQuantities> tolerances{ view.max_displacement, view.max_rotation,
                                                                      view.max_sigma,        std::nullopt,
                                                                      std::nullopt,          std::nullopt };
@@ -295,7 +296,7 @@ void TreatmentPanel::tick()
 
 void TreatmentPanel::showStatus(const TreatmentView& view)
 {
-  const std::int64_t now = TreatmentLink::now();
+  const std::int64_t now = steadyNanoseconds();
   pose_->setText(poseText(view, now));
   if (!view.frozen_clock.empty())
   {
@@ -386,7 +387,7 @@ void TreatmentPanel::chooseCt()
             const QFileInfo file(path);
             ct_folder_ = file.absolutePath();
             const bool slice = file.suffix().isEmpty() || file.suffix() == "dcm";
-            link_->loadCt((slice ? file.absolutePath() : file.absoluteFilePath()).toStdString());
+            link_->commands().loadCt((slice ? file.absolutePath() : file.absoluteFilePath()).toStdString());
             Q_EMIT configChanged();
           });
   dialog->open();
@@ -405,7 +406,7 @@ void TreatmentPanel::confirmReset()
           {
             if (button == QMessageBox::Ok)
             {
-              link_->reset();
+              link_->commands().reset();
             }
           });
   box->open();

@@ -208,7 +208,7 @@ StripChart::StripChart(const QString& name, const QString& unit, int decimals, Q
   setSizePolicy(QSizePolicy::Preferred, QSizePolicy::Expanding);
 }
 
-void StripChart::display(const RecentValues<double>& values, const TreatmentLink::Lights& lights,
+void StripChart::display(const RecentValues<double>& values, const TreatmentFeed::Lights& lights,
                          std::optional<double> tolerance, std::int64_t now)
 {
   values_ = values;

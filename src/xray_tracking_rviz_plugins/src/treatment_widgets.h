@@ -7,7 +7,7 @@
 #include <QColor>
 #include <QWidget>
 
-#include "treatment_link.h"
+#include "treatment_feed.h"
 
 namespace xray_tracking
 {
@@ -58,7 +58,7 @@ public:
   /// @param decimals of the value that is written
   StripChart(const QString& name, const QString& unit, int decimals, QWidget* parent);
   /// @param tolerance drawn as a line; none: nothing
-  void display(const RecentValues<double>& values, const TreatmentLink::Lights& lights, std::optional<double> tolerance,
+  void display(const RecentValues<double>& values, const TreatmentFeed::Lights& lights, std::optional<double> tolerance,
                std::int64_t now);
 
 protected:
@@ -71,7 +71,7 @@ private:
   QString name_, unit_;
   int decimals_;
   RecentValues<double> values_;
-  TreatmentLink::Lights lights_;
+  TreatmentFeed::Lights lights_;
   std::optional<double> tolerance_;
   std::int64_t now_ = 0;
 };

@@ -8,20 +8,25 @@
 #include <optional>
 #include <set>
 
+#include <OgreCamera.h>
 #include <actionlib/client/simple_action_client.h>
 #include <geometry_msgs/PoseStamped.h>
+#include <rviz/render_panel.h>
 #include <rviz/tool.h>
 #include <rviz/tool_manager.h>
+#include <rviz/view_manager.h>
 #include <tf2_ros/transform_listener.h>
 #include <xray_tracking_msgs/AlignPatientAction.h>
 #include <xray_tracking_msgs/BeamGate.h>
 #include <xray_tracking_msgs/RefinedPose.h>
+#include <xray_tracking_msgs/TrackedRegion.h>
 #include <QComboBox>
 #include <QLabel>
 #include <QPushButton>
 
 #include "radiograph_panel.h"
 #include "xray_tracking_conversions/conversions.h"
+#include "xray_tracking_core/sequence/treatment_setup.h"
 
 namespace xray_tracking
 {
@@ -81,6 +86,36 @@ protected:
     run("xdotool key --delay 20 --repeat " + std::to_string(times) + " " + key);
   }
   static void run(const std::string& command) { ASSERT_EQ(std::system(command.c_str()), 0); }
+
+  /// Where a place of the room is seen in the window, on the screen. [mm]
+  static QPoint onScreen(const Eigen::Vector3d& place)
+  {
+    const rviz::RenderPanel* panel = manager_->getRenderPanel();
+    const Ogre::Camera* camera = panel->getCamera();
+    const Eigen::Vector3f metres = (1e-3 * place).cast<float>();
+    const Ogre::Vector3 seen =
+        camera->getProjectionMatrix() * (camera->getViewMatrix() * Ogre::Vector3(metres.x(), metres.y(), metres.z()));
+    return panel->mapToGlobal(QPoint(static_cast<int>(std::lround(0.5F * (1.0F + seen.x) * panel->width())),
+                                     static_cast<int>(std::lround(0.5F * (1.0F - seen.y) * panel->height()))));
+  }
+
+  /// With the mouse, slowly enough for RViz to see what is under it.
+  static void drag(const QPoint& from, const QPoint& to)
+  {
+    const auto move = [](const QPoint& at)
+    {
+      run("xdotool mousemove " + std::to_string(at.x()) + " " + std::to_string(at.y()));
+      spin(0.3);
+    };
+    move(from - QPoint(3, 3));
+    move(from);
+    run("xdotool mousedown 1");
+    spin(0.3);
+    move((from + to) / 2);
+    move(to);
+    run("xdotool mouseup 1");
+    spin(0.3);
+  }
 
   void clickStep(const char* name)
   {
@@ -189,6 +224,56 @@ TEST_F(AlignmentTest, CancelledItLeavesEverythingAsItWas)
   EXPECT_TRUE(spinUntil([&] { return shown_ > 0; }));
 }
 
+TEST_F(AlignmentTest, ArrowsAndRingsAreDraggedByWhatTheMouseMoves)
+{
+  const Eigen::Vector3d centre(1.25, 15.25, 1.0);
+  rviz::ViewController* view = manager_->getViewManager()->getCurrent();
+  view->subProp("Distance")->setValue(0.6);
+  click(button("align"));
+  ASSERT_TRUE(spinUntil([&] { return tried_.has_value(); }));
+  spin(0.5);
+  for (int axis = 0; axis < 3; ++axis)
+  {
+    for (const double way : { 20.0, -20.0 })
+    {
+      SCOPED_TRACE(testing::Message() << "arrow "
+                                      << "xyz"[axis] << " by " << way);
+      const RigidTransform begun = *tried_;
+      const Eigen::Vector3d arrow = begun * centre + 120.0 * Eigen::Vector3d::Unit(axis);  // 80 to 144 mm
+      const QPoint from = onScreen(arrow), to = onScreen(arrow + way * Eigen::Vector3d::Unit(axis));
+      drag(from, to);
+      const Eigen::Vector3d moved = *tried_ * centre - begun * centre;
+      // Both places are rounded to pixels, and it is the arrow's side that is held, up to 20 mm of 600 nearer.
+      const double pixel = 20.0 / std::hypot(to.x() - from.x(), to.y() - from.y());  // [mm]
+      EXPECT_NEAR(moved[axis], way, 1.2 * pixel + 0.04 * 20.0);
+      EXPECT_LT(pixel, 3.0);
+      EXPECT_LT((moved - moved[axis] * Eigen::Vector3d::Unit(axis)).norm(), 1e-3);
+      EXPECT_LT(rotationAngle(*tried_ * begun.inverse()), 1e-5);
+    }
+  }
+  for (int axis = 0; axis < 3; ++axis)
+  {
+    SCOPED_TRACE(testing::Message() << "ring "
+                                    << "xyz"[axis]);
+    const RigidTransform begun = *tried_;
+    // Half way between two arrows, on the side that is seen.
+    const auto ring = [&](double angle) -> Eigen::Vector3d
+    {
+      return begun * centre + 92.0 * (std::cos(angle) * Eigen::Vector3d::Unit((axis + 1) % 3) +
+                                      std::sin(angle) * Eigen::Vector3d::Unit((axis + 2) % 3));
+    };
+    constexpr double kTurn = 10.0 / 180.0 * EIGEN_PI;
+    drag(onScreen(ring(0.25 * EIGEN_PI)), onScreen(ring(0.25 * EIGEN_PI + kTurn)));
+    const Eigen::AngleAxisd turn((*tried_ * begun.inverse()).linear());
+    EXPECT_NEAR(turn.angle(), kTurn, 0.15 * kTurn);
+    EXPECT_LT((turn.axis() - Eigen::Vector3d::Unit(axis)).norm(), 1e-3) << turn.axis().transpose();
+    EXPECT_LT((*tried_ * centre - begun * centre).norm(), 1e-3);
+  }
+  click(button("align"));
+  ASSERT_TRUE(spinUntil([&] { return message().contains("Cancelled"); }));
+  view->subProp("Distance")->setValue(3.0);
+}
+
 TEST_F(AlignmentTest, ByMouseAndKeysToARegisteredPoseOnTf)
 {
   expectMisplaced();
@@ -247,6 +332,26 @@ TEST_F(AlignmentTest, ByMouseAndKeysToARegisteredPoseOnTf)
   EXPECT_EQ(gate_.reason, BeamGate::DISPLACED) << gate_.text;  // from where it was planned to be
   EXPECT_FALSE(opened_);
   EXPECT_FALSE(button("register")->isEnabled());
+  // The trackers have learnt their regions where the target is: for them it was 12 mm off.
+  const TreatmentSetup truth =
+      loadTreatmentSetup(XRAY_TRACKING_TEST_FOLDER "/../../xray_tracking_core/config/phantom_neck.yaml");
+  for (const ProjectionGeometry& detector : truth.detectors)
+  {
+    SCOPED_TRACE(detector.name());
+    using xray_tracking_msgs::TrackedRegion;
+    TrackedRegion region;
+    const ros::Subscriber subscriber = ros::NodeHandle().subscribe<TrackedRegion>(
+        detector.name() + "/tracked_region", 10, [&](const TrackedRegion::ConstPtr& message) { region = *message; });
+    EXPECT_TRUE(spinUntil([&] { return region.reference_stamp > asked; }));
+    EXPECT_EQ(region.state, TrackedRegion::TRACKING) << region.fault;
+    const cv::Rect learnt = rectFromRegionMsg(region.region);
+    const cv::Rect expected = projectedTargetRegion(truth, detector);
+    EXPECT_LE(std::abs(learnt.x - expected.x) + std::abs(learnt.y - expected.y), 6);  // 1.6 mm
+    EXPECT_LE(std::abs(learnt.width - expected.width) + std::abs(learnt.height - expected.height), 4);
+  }
+  spin(2.0);
+  EXPECT_LT(patient()->first.norm(), 0.5) << patient()->first.transpose();
+  EXPECT_TRUE(gate_.verified) << gate_.text;
   EXPECT_LT(TimedApplication::longest, 0.05);  // processor time: what else the machine does is not ours
   std::printf("longest event: %.1f ms of processor, %.1f ms of wall time\n", 1e3 * TimedApplication::longest,
               1e3 * TimedApplication::longest_wall);

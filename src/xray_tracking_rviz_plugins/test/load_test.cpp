@@ -1,30 +1,14 @@
+#include "own_classes.h"
 #include "rviz_window.h"
 
 #include <rviz/failed_panel.h>
 #include <rviz/failed_tool.h>
 #include <rviz/tool_manager.h>
-#include <pluginlib/class_loader.hpp>
 
 namespace xray_tracking
 {
 namespace
 {
-/// Of our plugin_description.xml, as pluginlib finds them.
-template <typename Base>
-std::vector<std::string> ownClasses(const std::string& base)
-{
-  pluginlib::ClassLoader<Base> loader("rviz", base);
-  std::vector<std::string> own;
-  for (const std::string& name : loader.getDeclaredClasses())
-  {
-    if (name.rfind("xray_tracking_rviz_plugins/", 0) == 0)
-    {
-      own.push_back(name);
-    }
-  }
-  return own;
-}
-
 TEST_F(RvizWindow, LoadsEveryDisplay)
 {
   const std::vector<std::string> classes = ownClasses<rviz::Display>("rviz::Display");

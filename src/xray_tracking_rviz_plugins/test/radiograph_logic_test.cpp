@@ -41,10 +41,23 @@ TEST(Detectors, AreFoundByTheirImages)
 TEST(ExposureToShow, IsTheNewestThatIsComplete)
 {
   const auto images = times({ 1.0, 1.1, 1.2, 1.3 });
-  EXPECT_EQ(exposureToShow(images, {}, 0.3), ros::Time(1.3));
-  EXPECT_EQ(exposureToShow(images, { times({ 1.0, 1.1, 1.2 }), times({ 1.0, 1.1 }) }, 0.3), ros::Time(1.1));
-  // One that lags too far is not waited for.
-  EXPECT_EQ(exposureToShow(images, { times({ 1.0 }) }, 0.25), ros::Time(1.3));
+  EXPECT_EQ(exposureToShow(images, {}, 0.02, 0.3), ros::Time(1.3));
+  EXPECT_EQ(exposureToShow(images, { times({ 1.0, 1.1, 1.2 }), times({ 1.0, 1.1 }) }, 0.02, 0.3), ros::Time(1.1));
+  // What the next one, of 1.1 s, has been without for 0.2 s and more.
+  EXPECT_EQ(exposureToShow(images, { times({ 1.0 }) }, 0.02, 0.25), ros::Time(1.0));
+  EXPECT_EQ(exposureToShow(images, { times({ 1.0 }) }, 0.06, 0.25), ros::Time(1.3));
+}
+
+TEST(ExposureToShow, StaysCompleteBetweenExposuresThatComeSlowly)
+{
+  for (const double interval : { 0.033, 0.5, 5.0 })
+  {
+    const auto images = times({ 10.0, 10.0 + interval });
+    const std::vector<std::vector<ros::Time>> late{ times({ 10.0 }) };
+    EXPECT_EQ(exposureToShow(images, late, 0.1, 0.3), images[0]) << interval;
+    EXPECT_EQ(exposureToShow(images, late, 0.31, 0.3), images[1]) << interval;
+    EXPECT_EQ(exposureToShow(images, { images }, 0.1, 0.3), images[1]) << interval;
+  }
 }
 
 TEST(Recent, BeginsAnewWhenTimeGoesBack)

@@ -36,10 +36,16 @@ public:
     {
       ours = QByteArray(object->metaObject()->className()).startsWith("xray_tracking::");
     }
+    const char* const who = receiver->metaObject()->className();  // it may be gone afterwards
+    const int what = event->type();
     const bool result = QApplication::notify(receiver, event);
     if (ours)
     {
-      longest = std::max(longest, processorTime() - start);
+      if (const double time = processorTime() - start; time > longest)
+      {
+        longest = time;
+        longest_of = std::string(who) + ", event " + std::to_string(what);
+      }
       longest_wall =
           std::max(longest_wall, std::chrono::duration<double>(std::chrono::steady_clock::now() - wall_start).count());
       ++events;
@@ -56,6 +62,7 @@ public:
   }
 
   static inline double longest = 0.0;       ///< processor time of one event [s]
+  static inline std::string longest_of;     ///< who had it: the receiver's class, the event's type
   static inline double longest_wall = 0.0;  ///< [s]
   static inline int events = 0;
 };

@@ -9,6 +9,7 @@
 
 #include "../volume/short_uids.h"
 #include "setup_node.h"
+#include "xray_tracking_core/geometry/projected_box.h"
 #include "xray_tracking_core/plan/structure.h"
 #include "yaml_field.h"
 
@@ -446,25 +447,6 @@ void saveTreatmentSetup(const TreatmentSetup& setup, const std::string& path)
 
 cv::Rect projectedTargetRegion(const TreatmentSetup& setup, const ProjectionGeometry& geometry)
 {
-  Eigen::AlignedBox2d seen;
-  for (int corner = 0; corner < 8; ++corner)
-  {
-    const Eigen::Vector3d point = setup.target_box.corner(static_cast<Eigen::AlignedBox3d::CornerType>(corner));
-    const Eigen::Vector2d pixel = geometry.project(setup.room_from_patient * point);
-    if (!pixel.allFinite())
-    {
-      return {};
-    }
-    seen.extend(pixel);
-  }
-  // A pixel reaches half its width around its centre. Clipped before conversion, which large values would not survive.
-  const Eigen::Array2d size = geometry.imageSize().cast<double>().array();
-  const Eigen::Array2d first = (seen.min().array() + 0.5).floor().max(0.0).min(size);
-  const Eigen::Array2d end = ((seen.max().array() + 0.5).floor() + 1.0).max(0.0).min(size);
-  if ((first >= end).any())
-  {
-    return {};
-  }
-  return { cv::Point(int(first.x()), int(first.y())), cv::Point(int(end.x()), int(end.y())) };
+  return projectedBoxRegion(setup.target_box, setup.room_from_patient, geometry);
 }
 }  // namespace xray_tracking

@@ -93,6 +93,8 @@ public:
   /// In the last estimate.
   const Doubt& doubt(std::size_t view) const { return doubts_[view]; }
 
+  /// When a view's latest template whose pose is known was learnt [ns]; nothing if there is none.
+  std::optional<std::int64_t> templateStamp(std::size_t view) const { return references_.templateStamp(view); }
   /// Where a view's region would have to be, with the patient there; nothing if that is not known. @return [px]
   std::optional<cv::Rect> regionAt(std::size_t view, const RigidTransform& room_from_patient) const;
 

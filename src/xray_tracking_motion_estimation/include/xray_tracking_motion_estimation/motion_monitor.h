@@ -7,7 +7,7 @@
 #include <string>
 #include <vector>
 
-#include <Eigen/Core>
+#include <Eigen/Geometry>
 
 #include "xray_tracking_motion_estimation/beam_gate.h"
 #include "xray_tracking_motion_estimation/exposure_estimator.h"
@@ -37,10 +37,10 @@ struct ClaimOutcome
 class MotionMonitor
 {
 public:
-  /// @param room_from_patient the setup's initial pose; @param target_centre patient frame [mm]
+  /// @param room_from_patient the setup's initial pose; @param target_box patient frame [mm]
   /// @throws std::invalid_argument for bad options
   MotionMonitor(const MotionMonitorOptions& options, const RigidTransform& room_from_patient,
-                const Eigen::Vector3d& target_centre);
+                const Eigen::AlignedBox3d& target_box);
 
   /// The tracks' side: its geometry has to be set before the first exposure that is of use.
   ExposureEstimator& tracks() { return tracks_; }
@@ -76,7 +76,9 @@ public:
   /// Somebody states where the patient is. That is a claim, as the initial pose is one: the latest exposure is
   /// registered from there as soon as the registration is free. If that is believed, and within the bounds of a
   /// correction, motion counts from the registered pose, and all that was known before is void, whatever tracks have
-  /// said; else nothing changes. After a refused claim it takes two registrations in a row to verify one.
+  /// said; else nothing changes. Views whose regions are not over the target there are to learn them anew, and until
+  /// they have, exposures are registered whatever the mode. After a refused claim it takes two registrations in a row
+  /// to verify one.
   /// @param now monotonic clock [ns]
   /// @return why it cannot be looked at; empty if it is, whereupon an outcome will come
   std::string claim(const RigidTransform& room_from_patient, std::int64_t now);

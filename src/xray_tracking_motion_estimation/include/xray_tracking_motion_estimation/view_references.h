@@ -56,6 +56,9 @@ public:
   /// nothing connects them with it: they are not known any more.
   void carry(const Refinement& refinement, const Eigen::Vector3d& target_centre);
 
+  /// When the view's latest template whose pose is known was learnt [ns]; nothing if there is none.
+  std::optional<std::int64_t> templateStamp(std::size_t view) const;
+
   /// Where the template's region would be seen with the patient elsewhere: moved as the target's centre is.
   /// @return nothing if the view has had no template whose pose is known
   std::optional<cv::Rect> regionAt(std::size_t view, const ProjectionGeometry& geometry,

@@ -125,7 +125,7 @@ void MotionEstimationRos::start()
   shape_ = std::async(parameters_.bone_shape ? std::launch::async : std::launch::deferred,
                       [setup = setup_, bone = parameters_.bone_shape]
                       { return bone ? boneShape(setup) : TargetShape::isotropic(setup.targetCentre()); });
-  monitor_.emplace(parameters_.monitor, setup_.room_from_patient, setup_.targetCentre());
+  monitor_.emplace(parameters_.monitor, setup_.room_from_patient, setup_.target_box);
   if (parameters_.keep_for_restart)
   {
     readRestartFile();
@@ -190,15 +190,14 @@ void MotionEstimationRos::subscribe(View& view, std::size_t index)
       [this, index](const TrackedRegion::ConstPtr& message) { trackedRegionCb(message, index); };
   view.tracked_region_subscriber = nh_.subscribe<TrackedRegion>(view.name + "/tracked_region", parameters_.queue_size,
                                                                 tracked_region_cb, nullptr, no_delay);
-  if (parameters_.monitor.method != PoseMethod::TRACKING)
+  if (registration_)
   {
     view.trainer = std::make_unique<ServiceCaller<TrainRegion>>(
         nh_, view.name + "/train_region",
         [&view](const std::optional<TrainRegion::Response>& response, const std::string& why)
         {
           const bool learnt = response && response->status == TrainRegion::Response::OK;
-          ROS_INFO_STREAM_COND(learnt,
-                               view.name << " has learnt its region anew where the registration sees the target");
+          ROS_INFO_STREAM_COND(learnt, view.name << " has learnt its region anew where the target is");
           ROS_WARN_STREAM_COND(!learnt,
                                view.name << " has not learnt its region anew: " << (response ? response->message : why)
                                          << "; draw it by hand if this lasts");
@@ -418,8 +417,7 @@ void MotionEstimationRos::train(const RegionProposal& proposal)
 {
   View& view = views_[proposal.view];
   TrainRegion::Request request;
-  ROS_WARN_STREAM(view.name << " does not follow the target, and is to learn its region anew where the registration "
-                               "sees it");
+  ROS_WARN_STREAM(view.name << " does not follow the target, and is to learn its region anew where it is");
   request.region = regionMsgFromRect(proposal.region);
   ROS_WARN_STREAM_COND(!view.trainer->call(request),
                        view.name << ": an earlier train_region is still under way, and is given up after "

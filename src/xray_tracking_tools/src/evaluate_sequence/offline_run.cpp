@@ -78,7 +78,7 @@ OfflineRun::OfflineRun(const TreatmentSetup& setup, PoseMethod method, std::shar
                        int refine_every, bool paper)
   : setup_(setup),
     options_(monitorOptions(setup, method, refine_every, paper)),
-    monitor_(options_, setup.room_from_patient, setup.targetCentre()),
+    monitor_(options_, setup.room_from_patient, setup.target_box),
     views_(setup.detectors.size()),
     registration_(std::move(registration))
 {

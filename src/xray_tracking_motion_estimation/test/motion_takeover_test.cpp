@@ -1,0 +1,145 @@
+// What is known of poses goes on in another monitor's place.
+
+#include "xray_tracking_motion_estimation/motion_memory.h"
+
+#include <optional>
+#include <vector>
+
+#include <gtest/gtest.h>
+
+#include "monitor_test.h"
+
+namespace xray_tracking
+{
+namespace
+{
+/// A monitor that has died, and the one in its place.
+class TakenUpTest : public MonitorTest
+{
+protected:
+  /// Through the text that is kept of it. @return what it knew
+  MotionMemory die()
+  {
+    RunMemory run;
+    run.detectors = scene.views;
+    run.motion = monitor->memory();
+    EXPECT_TRUE(run.motion);
+    const MotionMemory memory = *runMemoryFrom(textOf(run)).motion;
+    monitor.emplace(options, initialPose(), targetBox());
+    monitor->tracks().setGeometry(geometriesOf(scene.views), TargetShape::isotropic(scene.targetCentre()));
+    monitor->takeUp(memory);
+    now = 7 * kMillisecond;  // another process's clock
+    return memory;
+  }
+};
+
+TEST_F(TakenUpTest, MotionCountsFromTheSamePoseOnceARegistrationHasConfirmedIt)
+{
+  start();
+  registered({ 0.0, 0.0, 0.0 });
+  registered({ 1.0, 0.0, 0.0 }, { 2.0, 0.0, 0.0 });
+  expose({ 2.0, 0.0, 0.0 });
+  monitor->onReply(doubted(request().id), now);
+  expectPose(decision(), PoseSource::TRACKED, { 4.0, 0.0, 0.0 }, 1e-3);
+  die();
+  EXPECT_FALSE(monitor->gate().open());
+
+  // A registration that refuses confirms nothing.
+  expose({ 2.5, 0.0, 0.0 });
+  const RefinementRequest asked = request();
+  EXPECT_TRUE(asked.unverified);
+  EXPECT_NEAR((asked.room_from_patient.translation() - initialPose().translation()).x(), 4.5, 1e-3);
+  monitor->onReply(doubted(asked.id), now);
+  expectNone(decision(), MotionState::NO_REFERENCE, "has died");
+  EXPECT_FALSE(monitor->gate().verification().verified());
+  expectPose(registered({ 3.0, 0.0, 0.0 }, { 2.0, 0.0, 0.0 }), PoseSource::REGISTERED, { 5.0, 0.0, 0.0 }, kExact);
+  EXPECT_TRUE(monitor->gate().verification().verified());
+  expose({ 3.5, 0.0, 0.0 });
+  monitor->onReply(doubted(request().id), now);
+  expectPose(decision(), PoseSource::TRACKED, { 5.5, 0.0, 0.0 }, 1e-3);
+}
+
+/// Nobody asks a registration: what somebody said of the initial pose holds on, as the templates are those of then.
+/// What the target did meanwhile nobody has seen.
+TEST_F(TakenUpTest, TracksAloneGoOn)
+{
+  options.method = PoseMethod::TRACKING;
+  options.refinement.mode = RefinementMode::NEVER;
+  options.gate.verification.initial_pose_verified = true;
+  start();
+  expose({ 0.0, 0.0, 0.0 });
+  expose({ 1.0, 0.0, 0.0 });
+  while (monitor->takeDecision())
+  {
+  }
+  die();
+  monitor->tracks().heardFrom(stamp + kInterval, stamp + kInterval);
+  for (int i = 0; i < options.gate.jump_exposures; ++i)
+  {
+    EXPECT_FALSE(monitor->gate().open());
+    expose({ 1.5, 0.0, 0.0 });
+    expectPose(decision(), PoseSource::TRACKED, { 1.5, 0.0, 0.0 }, 1e-3);
+  }
+  EXPECT_TRUE(monitor->gate().open()) << monitor->gate().text();
+}
+
+/// What the one before doubted is doubted still.
+TEST_F(TakenUpTest, ADoubtGoesOnToo)
+{
+  options.method = PoseMethod::TRACKING;
+  options.refinement.mode = RefinementMode::NEVER;
+  options.gate.verification.initial_pose_verified = true;
+  start();
+  stamp += 100 * kInterval;
+  monitor->tracks().heardFrom(stamp, stamp);  // templates that are older than what was heard of
+  for (int i = 0; i < 3; ++i)
+  {
+    expose({ 0.0, 0.0, 0.0 });
+  }
+  while (monitor->takeDecision())
+  {
+  }
+  EXPECT_FALSE(monitor->gate().verification().verified());
+  EXPECT_NE(die().doubt, "");
+  for (int i = 0; i < 40; ++i)
+  {
+    expose({ 0.0, 0.0, 0.0 });
+  }
+  EXPECT_FALSE(monitor->gate().open());
+  EXPECT_NE(monitor->gate().text().find("before the first exposure"), std::string::npos) << monitor->gate().text();
+}
+
+/// Trackers that were killed as well, and have learnt elsewhere: no silent wrong reference.
+TEST_F(TakenUpTest, TemplatesThatItDoesNotKnowHaveNoReference)
+{
+  start();
+  registered({ 0.0, 0.0, 0.0 });
+  die();
+  trained.assign(2, { stamp + kInterval, Eigen::Vector3d(3.0, 0.0, 0.0) });
+  expose({ 3.0, 0.0, 0.0 });
+  monitor->onReply(believed(request().id, { 3.0, 0.0, 0.0 }), now);
+  expectNone(decision(), MotionState::NO_REFERENCE, "trained on the exposure at");
+  expectPose(registered({ 3.0, 0.0, 0.0 }), PoseSource::REGISTERED, { 3.0, 0.0, 0.0 }, kExact);
+}
+
+TEST_F(TakenUpTest, AnotherRegionOfTheSameExposureIsAnotherTemplate)
+{
+  start();
+  registered({ 0.0, 0.0, 0.0 });
+  registered({ 0.0, 0.0, 0.0 });
+  die();
+  expose({ 0.0, 0.0, 0.0 },
+         [](std::vector<std::optional<TrackedView>>& views) { views[0]->track.centre += Eigen::Vector2d(30.0, 0.0); });
+  monitor->onReply(doubted(request().id), now);
+  expectNone(decision(), MotionState::NO_REFERENCE, "detector_a");
+}
+
+TEST_F(MonitorTest, NothingIsKeptBeforeThereIsAPose)
+{
+  start();
+  EXPECT_FALSE(monitor->memory());
+  expose({ 0.0, 0.0, 0.0 }, loseAll);
+  EXPECT_FALSE(monitor->memory());
+}
+}  // namespace
+}  // namespace xray_tracking
