@@ -1,0 +1,121 @@
+"""Listens to what the graph says, and judges it by the truth. Shares no code with the nodes."""
+import bisect
+import os
+import sys
+import threading
+import time
+
+import rospy
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from rosgraph_msgs.msg import Log
+from xray_tracking_msgs.msg import BeamGate, PatientMotion
+
+sys.path.insert(0, os.path.join(os.path.dirname(os.path.abspath(__file__)), ".."))
+from graph_test_case import matrix, target_registration_error_mm  # noqa: E402
+
+WRONG_MM = 2.0
+REASONS = {value: name for name, value in vars(BeamGate).items() if name.isupper() and isinstance(value, int)}
+
+
+class Judge:
+    """Times are monotonic, of this process: when it heard of something."""
+
+    def __init__(self, injector, box_mm):
+        self.injector, self.box_mm = injector, box_mm
+        self.lock = threading.Lock()
+        self.gates = []      # (time, open, until, reason, text)
+        self.opened = {}     # stamp [ns] of an exposure -> whether the gate was ever open while it was the latest
+        self.poses = []      # (time, stamp, error [mm] or None where no exposure has the stamp, whether the gate was open)
+        self.motions = {}    # stamp -> (time, state, source, reason)
+        self.fatal = []
+        self.bad_numbers = []
+        self.subscribers = [
+            rospy.Subscriber("/beam_gate", BeamGate, self.gate, queue_size=1000, tcp_nodelay=True),
+            rospy.Subscriber("/patient_pose", PoseWithCovarianceStamped, self.pose, queue_size=1000, tcp_nodelay=True),
+            rospy.Subscriber("/patient_motion", PatientMotion, self.motion, queue_size=1000, tcp_nodelay=True),
+            rospy.Subscriber("/rosout", Log, self.log, queue_size=1000)]
+
+    def gate(self, message):
+        now = time.monotonic()
+        until = now + (message.valid_until - message.header.stamp).to_sec()
+        with self.lock:
+            self.gates.append((now, message.open, until, REASONS[message.reason], message.text))
+            exposure = message.exposure.to_nsec()
+            self.opened[exposure] = self.opened.get(exposure, False) or message.open
+
+    def pose(self, message):
+        stamp = message.header.stamp.to_nsec()
+        truth = self.injector.truth.get(stamp)
+        estimate = matrix(message.pose.pose.position, message.pose.pose.orientation)
+        error = None if truth is None else float(target_registration_error_mm(estimate, truth, self.box_mm))
+        was_open = self.is_open()
+        with self.lock:
+            self.poses.append((time.monotonic(), stamp, error, was_open))
+            if error is not None and error != error:
+                self.bad_numbers.append(f"a pose at {stamp} with numbers that are none")
+
+    def motion(self, message):
+        with self.lock:
+            self.motions[message.header.stamp.to_nsec()] = (time.monotonic(), message.state, message.source,
+                                                            message.reason, message.wall_time.to_sec())
+
+    def log(self, message):
+        if message.level >= Log.FATAL:
+            with self.lock:
+                self.fatal.append(f"{message.name}: {message.msg}")
+
+    def open_spans(self, since, until):
+        """Times at which who acts on the gate would have had the beam on: the last message says open and is valid."""
+        with self.lock:
+            gates = list(self.gates)
+        times = [gate[0] for gate in gates]
+        spans = []
+        for i in range(max(bisect.bisect_left(times, since) - 1, 0), len(gates)):
+            begin, is_open, end = gates[i][:3]
+            if begin > until:
+                break
+            if i + 1 < len(gates):
+                end = min(end, gates[i + 1][0])
+            begin, end = max(begin, since), min(end, until)
+            if is_open and begin < end:
+                spans.append((begin, end))
+        return spans
+
+    def is_open(self):
+        with self.lock:
+            return bool(self.gates) and self.gates[-1][1] and time.monotonic() < self.gates[-1][2]
+
+    def last_text(self):
+        with self.lock:
+            return f"{self.gates[-1][3]}: {self.gates[-1][4]}" if self.gates else "nothing was heard of the gate"
+
+    def reasons(self, since, until):
+        with self.lock:
+            return sorted({gate[3] for gate in self.gates if since <= gate[0] <= until} - {"NONE"})
+
+    def wait_until_open(self, timeout, still=0.4):
+        """Open without a break for `still` seconds. @return when that began; None if it does not come to it"""
+        end, since = time.monotonic() + timeout, None
+        while time.monotonic() < end:
+            now = time.monotonic()
+            since = (since or now) if self.is_open() else None
+            if since is not None and now - since >= still:
+                return since
+            time.sleep(0.01)
+        return None
+
+    def errors(self, since, until):
+        """(errors of the poses of exposures for which the gate was open, errors of all poses) [mm]; a pose of no
+        exposure that was made counts as infinitely wrong. What the gate says of an exposure comes right behind its pose;
+        where it says nothing of it, what it said before counts."""
+        with self.lock:
+            poses = [(float("inf") if error is None else error, self.opened.get(stamp, was_open))
+                     for when, stamp, error, was_open in self.poses if since <= when <= until]
+            return [error for error, is_open in poses if is_open], [error for error, _ in poses]
+
+    def unanswered(self, since, until):
+        """Exposures sent in that time, and how many of them have no answer, and no pose."""
+        with self.lock:
+            stamps = [stamp for stamp, when in list(self.injector.sent_at.items()) if since <= when <= until]
+            posed = {stamp for _, stamp, _, _ in self.poses}
+            return len(stamps), sum(s not in self.motions for s in stamps), sum(s not in posed for s in stamps)
