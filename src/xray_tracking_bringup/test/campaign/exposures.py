@@ -6,14 +6,13 @@ import os
 import subprocess
 import sys
 import threading
-import time
 
 import numpy as np
 import yaml
 from PIL import Image as Picture
 from sensor_msgs.msg import CameraInfo
 
-CYCLE = 120  # exposures of the phantom's breath, which takes 4 s at 30 Hz
+BREATH_S = 4.0  # of the phantom
 COUGH_MM = 12.0
 # The phantom's breath [mm, room axes]: 6.9 mm, 5.4 mm/s at most.
 BREATH_MM = np.array([-4.5, 3.3, 4.0])
@@ -159,31 +158,33 @@ def bank_of_sequence(folder):
                 (len(stamps) - 1) / (stamps[-1] - stamps[0]))
 
 
-def phantom_places():
-    """Shift of every exposure from the initial pose [mm]."""
-    breath = [BREATH_MM * (1 - np.cos(2 * np.pi * k / CYCLE)) / 2 for k in range(CYCLE)]
+def phantom_places(cycle):
+    """Shift of every exposure from the initial pose [mm]: so many of a breath, and of coughs behind them."""
+    breath = [BREATH_MM * (1 - np.cos(2 * np.pi * k / cycle)) / 2 for k in range(cycle)]
     away = COUGH_MM * BREATH_MM / np.linalg.norm(BREATH_MM)
-    return np.array(breath + [breath[k * CYCLE // COUGHS] + away for k in range(COUGHS)])
+    return np.array(breath + [breath[k * cycle // COUGHS] + away for k in range(COUGHS)])
 
 
-def write_places(setup, path):
+def write_places(setup, places, path):
     initial = setup.entries["initial_pose"]
     with open(path, "w", encoding="utf-8") as file:
         file.write("stamp_s,tx_mm,ty_mm,tz_mm,qx,qy,qz,qw\n")
-        for k, shift in enumerate(phantom_places()):
-            numbers = [k / 30.0] + list(np.add(initial["translation_mm"], shift)) + initial["rotation_xyzw"]
+        for k, shift in enumerate(places):
+            numbers = [float(k)] + list(np.add(initial["translation_mm"], shift)) + initial["rotation_xyzw"]
             file.write(",".join(f"{number:.9f}" for number in numbers) + "\n")
 
 
-def make_phantom_bank(setup_path, out, timeout=180.0):
-    """Has the simulator make them. In a process of its own (it becomes a node of the master that is there)."""
+def make_phantom_bank(setup_path, out, rate, timeout=180.0):
+    """Has the simulator make them, for exposures at `rate` and what divides it. In a process of its own (it becomes a
+    node of the master that is there)."""
     import rospy
     from sensor_msgs.msg import Image
-    setup, places = Setup(setup_path), out + ".csv"
-    write_places(setup, places)
-    count = len(phantom_places())
+    setup, csv_file, cycle = Setup(setup_path), out + ".csv", int(BREATH_S * rate)
+    places = phantom_places(cycle)
+    write_places(setup, places, csv_file)
+    count = len(places)
     for name, value in {"setup_file": setup.path, "exposures": count, "rate": 10.0, "wait_for_start": False,
-                        "motion/type": "csv", "motion/csv_file": places}.items():
+                        "motion/type": "csv", "motion/csv_file": csv_file}.items():
         rospy.set_param("/detector_simulator/" + name, value)
     got, done = {name: {} for name in setup.detectors}, threading.Event()
 
@@ -204,11 +205,11 @@ def make_phantom_bank(setup_path, out, timeout=180.0):
         simulator.terminate()
         simulator.wait(30)
     truth = np.repeat(setup.initial_pose[None], count, axis=0)
-    truth[:, :3, 3] += phantom_places() / 1000.0
-    Bank({name: np.stack([images[stamp] for stamp in sorted(images)]) for name, images in got.items()}, truth, CYCLE,
-         30.0).save(out)
+    truth[:, :3, 3] += places / 1000.0
+    Bank({name: np.stack([images[stamp] for stamp in sorted(images)]) for name, images in got.items()}, truth, cycle,
+         rate).save(out)
     del subscribers
 
 
 if __name__ == "__main__":
-    make_phantom_bank(sys.argv[1], sys.argv[2])
+    make_phantom_bank(sys.argv[1], sys.argv[2], float(sys.argv[3]))

@@ -47,13 +47,13 @@ def make_source(name, setup_path, bank, other_ct, max_displacement):
     return {"name": name, "setup": setup_path, "bank": bank, "other_ct": other_ct, "max_displacement": max_displacement}
 
 
-def make_sources(sequences, folder):
-    """Banks of exposures: the phantom's, and one a sequence folder."""
+def make_sources(sequences, rate, folder):
+    """Banks of exposures: the phantom's, for this rate and what divides it, and one a sequence folder."""
     bank, ct = os.path.join(folder, "phantom.npz"), os.path.join(folder, "other_ct.mha")
     master = Master(folder)
     try:
-        subprocess.run([sys.executable, os.path.join(HERE, "exposures.py"), phantom_setup(), bank], check=True,
-                       timeout=300)
+        subprocess.run([sys.executable, os.path.join(HERE, "exposures.py"), phantom_setup(), bank, str(rate)],
+                       check=True, timeout=300)
     finally:
         master.kill()
     write_other_ct(Setup(phantom_setup()), ct)
@@ -144,7 +144,7 @@ def main():
         parser.error(f"--runs {arguments.runs}: expected 1 or more")
     os.makedirs(arguments.out, exist_ok=True)
     folder = tempfile.mkdtemp(prefix="sessions_", dir=arguments.out)
-    sources = make_sources(arguments.sequences, folder)
+    sources = make_sources(arguments.sequences, max(arguments.rates), folder)
     by_name = {source["name"]: source for source in sources}
     number, results = [0], []
     for runs in sessions(plan(arguments.faults, sources, arguments.rates, arguments.runs, arguments.seed),

@@ -34,8 +34,8 @@ class Clock:
             return time.time()
         return self.stopped if self.stopped is not None else SIM_START + time.monotonic() - self.began + self.jump
 
-    def stop(self):
-        self.stopped = self.now()
+    def stop(self, at):
+        self.stopped = self.stopped or at
 
     def go_on(self):
         self.stopped = None

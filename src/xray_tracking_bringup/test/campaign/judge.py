@@ -1,5 +1,6 @@
 """Listens to what the graph says, and judges it by the truth. Shares no code with the nodes."""
 import bisect
+import collections
 import os
 import sys
 import threading
@@ -15,6 +16,7 @@ from graph_test_case import matrix, target_registration_error_mm  # noqa: E402
 
 WRONG_MM = 2.0
 REASONS = {value: name for name, value in vars(BeamGate).items() if name.isupper() and isinstance(value, int)}
+Motion = collections.namedtuple("Motion", "time state source")
 
 
 class Judge:
@@ -26,7 +28,7 @@ class Judge:
         self.gates = []      # (time, open, until, reason, text)
         self.opened = {}     # stamp [ns] of an exposure -> whether the gate was ever open while it was the latest
         self.poses = []      # (time, stamp, error [mm] or None where no exposure has the stamp, whether the gate was open)
-        self.motions = {}    # stamp -> (time, state, source, reason)
+        self.motions = {}    # stamp [ns] -> Motion
         self.fatal = []
         self.bad_numbers = []
         self.subscribers = [
@@ -56,8 +58,7 @@ class Judge:
 
     def motion(self, message):
         with self.lock:
-            self.motions[message.header.stamp.to_nsec()] = (time.monotonic(), message.state, message.source,
-                                                            message.reason, message.wall_time.to_sec())
+            self.motions[message.header.stamp.to_nsec()] = Motion(time.monotonic(), message.state, message.source)
 
     def log(self, message):
         if message.level >= Log.FATAL:
@@ -93,14 +94,23 @@ class Judge:
         with self.lock:
             return sorted({gate[3] for gate in self.gates if since <= gate[0] <= until} - {"NONE"})
 
-    def wait_until_open(self, timeout, still=0.4):
-        """Open without a break for `still` seconds. @return when that began; None if it does not come to it"""
-        end, since = time.monotonic() + timeout, None
-        while time.monotonic() < end:
+    def registered_since(self, when):
+        """Whether an exposure sent after that has a registered pose."""
+        sent_at = self.injector.sent_at
+        with self.lock:
+            return any(motion.source == PatientMotion.REGISTERED and sent_at.get(stamp, 0.0) > when
+                       for stamp, motion in reversed(list(self.motions.items())))
+
+    def wait_until_well(self, timeout, still=0.4):
+        """The gate open without a break for `still` seconds, and exposures registered again. @return when the gate was
+        open, or that was seen, whichever was later; None if it does not come to it"""
+        asked, opened, registered = time.monotonic(), None, None
+        while time.monotonic() < asked + timeout:
             now = time.monotonic()
-            since = (since or now) if self.is_open() else None
-            if since is not None and now - since >= still:
-                return since
+            opened = (opened or now) if self.is_open() else None
+            registered = registered or (now if self.registered_since(asked) else None)
+            if opened and registered and now - opened >= still:
+                return max(opened, registered)
             time.sleep(0.01)
         return None
 
@@ -113,9 +123,9 @@ class Judge:
                      for when, stamp, error, was_open in self.poses if since <= when <= until]
             return [error for error, is_open in poses if is_open], [error for error, _ in poses]
 
-    def unanswered(self, since, until):
-        """Exposures sent in that time, and how many of them have no answer, and no pose."""
+    def answers(self, since, until):
+        """Exposures sent in that time, how many of them have an answer, and how many a pose."""
+        stamps = [stamp for stamp, when in list(self.injector.sent_at.items()) if since <= when <= until]
         with self.lock:
-            stamps = [stamp for stamp, when in list(self.injector.sent_at.items()) if since <= when <= until]
             posed = {stamp for _, stamp, _, _ in self.poses}
-            return len(stamps), sum(s not in self.motions for s in stamps), sum(s not in posed for s in stamps)
+            return len(stamps), sum(s in self.motions for s in stamps), sum(s in posed for s in stamps)

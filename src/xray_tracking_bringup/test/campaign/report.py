@@ -1,7 +1,8 @@
 """What a campaign found, as JSON and as a table."""
 import json
-import math
 import os
+
+from scipy.stats import beta
 
 from faults import FAULTS, RESTART, UNSEEN
 
@@ -14,16 +15,7 @@ def ends_graph(fault):
 
 def bounded_rate(runs, violations, confidence=0.95):
     """Clopper and Pearson's upper bound of the rate; without a violation 1 - (1 - confidence)^(1 / runs)."""
-    if violations >= runs:
-        return 1.0
-    low, high = violations / runs, 1.0
-    for _ in range(60):
-        rate = (low + high) / 2
-        below = sum(math.exp(math.lgamma(runs + 1) - math.lgamma(k + 1) - math.lgamma(runs - k + 1)
-                             + (k * math.log(rate) if k else 0.0) + (runs - k) * math.log1p(-rate))
-                    for k in range(violations + 1)) if 0 < rate < 1 else float(rate <= 0)
-        low, high = (rate, high) if below > 1 - confidence else (low, rate)
-    return high
+    return 1.0 if violations >= runs else float(beta.ppf(confidence, violations + 1, runs - violations))
 
 
 def largest(results, key, form):

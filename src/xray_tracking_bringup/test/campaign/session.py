@@ -68,9 +68,14 @@ class Rig:
         if self.onset is None:
             self.onset = time.monotonic()
 
-    def altering(self, alter):
+    def altering(self, alter, prepared=False):
+        """@param prepared the first exposure that is altered is as it would be, and those after it are not"""
+        seen = []
+
         def altered(sent, k):
-            self.note_onset()
+            if not prepared or seen:
+                self.note_onset()
+            seen.append(k)
             alter(sent, k)
         self.injector.alter = altered
         return lambda: setattr(self.injector, "alter", None)
@@ -78,8 +83,8 @@ class Rig:
     def alter_one(self, name, change):
         return self.altering(lambda sent, k: change(sent[name], k))
 
-    def alter_all(self, change):
-        return self.altering(lambda sent, k: [change(one, k) for one in sent.values()])
+    def alter_all(self, change, prepared=False):
+        return self.altering(lambda sent, k: [change(one, k) for one in sent.values()], prepared)
 
     def show(self, show):
         def shown(k):
@@ -122,14 +127,14 @@ def judge_run(rig, fault, onset, ended, recovered, finished):
     bound = max(3.0 / rig.rate, 0.2)
     during = rig.judge.open_spans(onset, ended)
     under_open, all_errors = rig.judge.errors(onset, finished)
-    exposures, unanswered, without_pose = rig.judge.unanswered(onset, recovered or finished)
+    exposures, answered, posed = rig.judge.answers(onset, ended)
     closed = (closed_for_good if fault.must == CLOSES else first_closed)(during, onset)
     stayed_open = closed > ended - onset - 0.01
     result = {"closed_s": None if stayed_open else closed, "bound_s": bound, "open_s": sum(e - b for b, e in during),
               "worst_open_mm": max(under_open, default=None), "worst_mm": max(all_errors, default=None),
-              "wrong_open": sum(error > WRONG_MM for error in under_open), "poses": len(all_errors),
-              "recovered_s": None if recovered is None else recovered - ended, "exposures": exposures,
-              "unanswered": unanswered, "without_pose": without_pose, "reasons": rig.judge.reasons(onset, ended)}
+              "wrong_open": sum(error > WRONG_MM for error in under_open), "exposures": exposures, "answered": answered,
+              "posed": posed, "recovered_s": None if recovered is None else recovered - ended,
+              "reasons": rig.judge.reasons(onset, ended)}
     violations = list(rig.judge.bad_numbers)
     if fault.must in (CLOSES, CLOSES_ONCE) and closed > bound:
         violations.append(f"the gate was open {closed:.3f} s after the fault, {bound:.3f} s are allowed")
@@ -138,7 +143,7 @@ def judge_run(rig, fault, onset, ended, recovered, finished):
     if fault.must != UNSEEN and result["wrong_open"]:
         violations.append(f"{result['wrong_open']} poses of up to {result['worst_open_mm']:.2f} mm under an open gate")
     if recovered is None and fault.recovery != RESTART and rig.graph_kind != "started":
-        violations.append(f"not open again within {fault.recovery_s} s; {rig.judge.last_text()}")
+        violations.append(f"not well again within {fault.recovery_s} s; {rig.judge.last_text()}")
     return result, violations
 
 
@@ -174,8 +179,8 @@ def run_started(rig, run, fault, random):
 
 
 def run_fault(rig, run, fault, random):
-    if rig.judge.wait_until_open(START_S) is None:
-        raise TimeoutError(f"the gate is not open before the fault: {rig.judge.last_text()}")
+    if rig.judge.wait_until_well(START_S) is None:
+        raise TimeoutError(f"the graph is not well before the fault: {rig.judge.last_text()}")
     time.sleep(random.uniform(0.0, 1.0))
     since, seconds = rig.graph.log_size(), random.uniform(*fault.seconds)
     begun, rig.onset = time.monotonic(), None
@@ -192,8 +197,7 @@ def run_fault(rig, run, fault, random):
         time.sleep(1.0)
         recovered = None
     else:
-        # A gate that was never closed is open at once.
-        recovered = rig.judge.wait_until_open(fault.recovery_s)
+        recovered = rig.judge.wait_until_well(fault.recovery_s)
         time.sleep(0.5)
     finished = time.monotonic()
     result, violations = judge_run(rig, fault, onset, ended, recovered, finished)
@@ -217,7 +221,7 @@ def main(path):
             print(f"{run['source']} {run['rate']:g} Hz, {fault.name} ({result['strength']}): "
                   f"{'; '.join(result['violations']) or 'as it must'}", flush=True)
             if rig.graph_kind == "started" or fault.recovery == RESTART or fault.name == "master_dies" or \
-                    any("not open again" in words or "has ended" in words for words in result["violations"]):
+                    any("not well again" in words or "has ended" in words for words in result["violations"]):
                 break
     except Exception:  # whatever it is, the campaign is to hear of it
         traceback.print_exc()

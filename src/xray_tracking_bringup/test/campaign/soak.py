@@ -61,7 +61,7 @@ def quarter(values, number):
 def latencies(judge, injector, since, until):
     """From an exposure to its answer [s], in order of the exposures."""
     with judge.lock:
-        return np.array([judge.motions[stamp][0] - sent for stamp, sent in sorted(injector.sent_at.items())
+        return np.array([judge.motions[stamp].time - sent for stamp, sent in sorted(injector.sent_at.items())
                          if since <= sent <= until and stamp in judge.motions])
 
 
@@ -99,11 +99,11 @@ def main():
     arguments = parser.parse_args()
     os.makedirs(arguments.out, exist_ok=True)
     folder = tempfile.mkdtemp(prefix="soak_", dir=arguments.out)
-    source = make_sources([], folder)[0]
+    source = make_sources([], arguments.rate, folder)[0]
     rig = Rig({**source, "folder": folder, "rate": arguments.rate, "graph": "plain", "seed": 1})
     try:
         rig.start_graph()
-        if rig.judge.wait_until_open(START_S) is None:
+        if rig.judge.wait_until_well(START_S) is None:
             raise TimeoutError(f"the gate does not open: {rig.judge.last_text()}")
         queues, samples, since = Queues(), [], time.monotonic()
         while time.monotonic() < since + 60.0 * arguments.minutes:
@@ -111,13 +111,13 @@ def main():
             samples.append({"time_s": time.monotonic() - since, "queues": queues.now(),
                             "nodes": {node: process_figures(pid) for node, pid in rig.pids.items()}})
         until = time.monotonic() - 2.0  # what came later may be on its way
-        exposures, unanswered, without_pose = rig.judge.unanswered(since, until)
+        exposures, answered, posed = rig.judge.answers(since, until)
         under_open, _ = rig.judge.errors(since, until)
-        figures, violations = judge_soak(samples, latencies(rig.judge, rig.injector, since, until), unanswered)
+        figures, violations = judge_soak(samples, latencies(rig.judge, rig.injector, since, until), exposures - answered)
     finally:
         rig.close()
         os.remove(source["bank"])
-    figures.update(exposures=exposures, without_pose=without_pose, worst_open_mm=max(under_open, default=None),
+    figures.update(exposures=exposures, without_pose=exposures - posed, worst_open_mm=max(under_open, default=None),
                    sent_late=rig.injector.late, rate=arguments.rate, minutes=arguments.minutes)
     with open(os.path.join(arguments.out, "soak.json"), "w", encoding="utf-8") as file:
         json.dump({"figures": figures, "violations": violations, "samples": samples}, file, indent=1)
