@@ -71,6 +71,18 @@ class ConfigurationTest(unittest.TestCase):
             params = load(path, REQUIRED_ARGUMENTS.get(name, []) + ["initial_pose_verified:=true"]).params
             self.assertIs(params["/motion_estimation/gate/initial_pose_verified"].value, True)
 
+    def test_what_becomes_of_a_node_that_dies(self):
+        # Who has the state of the run ends it, as a new one would not know where the patient is; all else begins anew.
+        for name in ("tracking.launch", "playback.launch", "treatment_room.launch"):
+            path = next(path for path in files("launch", "*.launch") if path.name == name)
+            arguments = REQUIRED_ARGUMENTS.get(name, []) + ["method:=tracking_and_registration", "rviz:=true",
+                                                            "record:=/recorded.bag"]
+            for node in load(path, arguments).nodes:
+                expected = {"xray_nodelets": "required", "motion_estimation": "required", "recorder": "nothing",
+                            "rviz": "nothing", "player": "nothing", "detector_simulator": "nothing"}
+                policy = "required" if node.required else "respawn" if node.respawn else "nothing"
+                self.assertEqual(policy, expected.get(node.name, "respawn"), f"{name}: {node.name}")
+
     def test_every_yaml_file_is_one(self):
         paths = list(files("config", "*.yaml")) + list(files("rviz", "*.rviz"))
         self.assertGreaterEqual(len(paths), 5)

@@ -85,6 +85,11 @@ class Setup:
     def source(self):
         return "ct" if "ct" in self.entries else "phantom"
 
+    @property
+    def pixels(self):
+        """Of an exposure."""
+        return sum(detector.columns * detector.rows for detector in self.detectors.values())
+
     def region(self, name):
         """Columns and rows (first, behind the last, both) that the target's box is seen in at the initial pose."""
         corners = np.array(list(itertools.product(*zip(*self.box_mm)))) / 1000.0

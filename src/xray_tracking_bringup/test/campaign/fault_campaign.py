@@ -21,6 +21,7 @@ HERE = os.path.dirname(os.path.abspath(__file__))
 RATES = (5.0, 30.0)
 SESSION_S = 3600.0
 PHANTOM_MM, SEQUENCE_MM = 8.0, 60.0  # gate/max_displacement, wider than the motion
+PIXELS_A_SECOND = 2e7  # that one process of Python can send
 
 
 def phantom_setup():
@@ -71,7 +72,8 @@ def make_sources(sequences, rate, folder):
 def plan(faults, sources, rates, count, seed):
     """`count` runs: all faults in turn, each of them in turn of all sources and rates."""
     random = np.random.default_rng(seed)
-    settings = [(source["name"], rate) for source in sources for rate in rates]
+    settings = [(source["name"], rate) for source in sources for rate in rates
+                if rate * Setup(source["setup"]).pixels <= PIXELS_A_SECOND]
     turns = {fault: list(random.permutation(len(settings))) for fault in faults}
     runs = []
     for number in range(count):
