@@ -10,6 +10,7 @@ import threading
 import numpy as np
 import yaml
 from PIL import Image as Picture
+from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo
 
 BREATH_S = 4.0  # of the phantom
@@ -19,17 +20,10 @@ BREATH_MM = np.array([-4.5, 3.3, 4.0])
 COUGHS = 8  # exposures of a cough, evenly over the breath
 
 
-def rotation(xyzw):
-    x, y, z, w = xyzw
-    return np.array([[1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-                     [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-                     [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)]])
-
-
 def pose(translation_mm, xyzw):
     """4 x 4 matrix in metres."""
     result = np.eye(4)
-    result[:3, :3] = rotation(xyzw)
+    result[:3, :3] = Rotation.from_quat(xyzw).as_matrix()
     result[:3, 3] = np.array(translation_mm) / 1000.0
     return result
 
@@ -101,19 +95,15 @@ class Setup:
         return [(int(np.clip(low[i], 0, size[i])), int(np.clip(high[i], 0, size[i]))) for i in (0, 1)]
 
     def write_miscalibrated(self, path, detector, shift_mm=0.0, turn_degrees=0.0):
-        """The same setup but for one detector, which stands shifted along its rows and turned about its own source by
+        """The same setup but for one detector, which stands shifted along its rows and turned about them at its source by
         what is given."""
         entries = dict(self.entries, detectors=[dict(entry) for entry in self.entries["detectors"]])
         if "ct" in entries:
             entries["ct"] = os.path.realpath(self.beside("ct"))
         own, entry = self.detectors[detector], next(e for e in entries["detectors"] if e["name"] == detector)
-        angle = np.radians(turn_degrees)
-        # About the columns' direction: across the panel, as a gantry that leans.
-        def turned(vector):
-            return (vector * np.cos(angle) + np.cross(own.x, vector) * np.sin(angle)
-                    + own.x * (own.x @ vector) * (1 - np.cos(angle)))
-        entry["origin_mm"] = (own.source + turned(own.origin - own.source) + shift_mm * own.x).tolist()
-        entry["x_direction"], entry["y_direction"] = turned(own.x).tolist(), turned(own.y).tolist()
+        turn = Rotation.from_rotvec(np.radians(turn_degrees) * own.x)
+        entry["origin_mm"] = (own.source + turn.apply(own.origin - own.source) + shift_mm * own.x).tolist()
+        entry["x_direction"], entry["y_direction"] = turn.apply(own.x).tolist(), turn.apply(own.y).tolist()
         with open(path, "w", encoding="utf-8") as file:
             yaml.safe_dump(entries, file)
 

@@ -13,6 +13,7 @@ import rospkg
 
 sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
 from exposures import Setup, bank_of_sequence  # noqa: E402
+from fault import ends_graph  # noqa: E402
 from faults import FAULTS  # noqa: E402
 from graph import Master  # noqa: E402
 import report  # noqa: E402
@@ -94,8 +95,8 @@ def sessions(runs, seed):
     for (_, _, graph), group in sorted(groups.items()):
         random = np.random.default_rng(seed)
         group = [group[i] for i in random.permutation(len(group))]
-        lasting = [run for run in group if not report.ends_graph(FAULTS[run["fault"]])]
-        ending = [run for run in group if report.ends_graph(FAULTS[run["fault"]])]
+        lasting = [run for run in group if not ends_graph(FAULTS[run["fault"]])]
+        ending = [run for run in group if ends_graph(FAULTS[run["fault"]])]
         yield from ([run] for run in group) if graph == "started" else [lasting + ending]
 
 
@@ -114,7 +115,7 @@ def run_session(runs, source, folder, number, seed):
             json.dump(spec, file)
         session = subprocess.Popen([sys.executable, os.path.join(HERE, "session.py"), spec_path])
         try:
-            failure = "the session ended without a result" if session.wait(SESSION_S) else ""
+            failure = "the graph does not come up" if session.wait(SESSION_S) else ""
         except subprocess.TimeoutExpired:
             session.kill()
             failure = f"the session did not end within {SESSION_S} s"
@@ -122,10 +123,8 @@ def run_session(runs, source, folder, number, seed):
         if os.path.exists(out):
             with open(out, encoding="utf-8") as file:
                 done = [json.loads(line) for line in file]
-        if not done or failure:
-            failed = runs[len(done)] if len(done) < len(runs) else None
-            if failed:
-                done.append({**failed, "violations": [failure or "the session ended without a result"]})
+        if len(done) < len(runs) and (failure or not done):
+            done.append({**runs[len(done)], "violations": [failure or "the session ended without a result"]})
         results += done
         runs = runs[len(done):]
     return results

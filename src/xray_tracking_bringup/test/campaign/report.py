@@ -4,13 +4,10 @@ import os
 
 from scipy.stats import beta
 
-from faults import FAULTS, RESTART, UNSEEN
+from fault import UNSEEN
+from faults import FAULTS
 
 BEGIN, END = "<!-- table of faults: begin -->", "<!-- table of faults: end -->"
-
-
-def ends_graph(fault):
-    return fault.recovery == RESTART or fault.name == "master_dies"
 
 
 def bounded_rate(runs, violations, confidence=0.95):

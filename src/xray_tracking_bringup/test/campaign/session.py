@@ -12,7 +12,8 @@ import numpy as np
 import rospy
 
 from exposures import Bank, Setup
-from faults import CLOSES, CLOSES_ONCE, FAULTS, NEVER_OPENS, RESTART, UNSEEN
+from fault import CLOSES, CLOSES_ONCE, NEVER_OPENS, RESTART, UNSEEN, ends_graph
+from faults import FAULTS
 from graph import NODES, Graph, Master
 from injector import Clock, Injector, RegistrationInTheMiddle, StaticTransforms
 from judge import WRONG_MM, Judge
@@ -205,6 +206,20 @@ def run_fault(rig, run, fault, random):
     return {**run, "seconds": ended - onset, "strength": strength, **result, "violations": violations}
 
 
+def perform(rig, run):
+    """@return the run's result; whether the graph lives on"""
+    fault, random = FAULTS[run["fault"]], np.random.default_rng(run["seed"])
+    try:
+        result = (run_started if rig.graph_kind == "started" else run_fault)(rig, run, fault, random)
+    except Exception as error:  # whatever it is, the campaign is to hear of it
+        traceback.print_exc()
+        return {**run, "violations": [f"it could not be run: {error}"]}, False
+    result["late_sends"] = rig.injector.late
+    lives = not (rig.graph_kind == "started" or ends_graph(fault) or
+                 any("not well again" in words or "has ended" in words for words in result["violations"]))
+    return result, lives
+
+
 def main(path):
     with open(path, encoding="utf-8") as file:
         spec = json.load(file)
@@ -213,25 +228,23 @@ def main(path):
         if rig.graph_kind != "started":
             rig.start_graph()
         for run in spec["runs"]:
-            fault, random = FAULTS[run["fault"]], np.random.default_rng(run["seed"])
-            result = (run_started if rig.graph_kind == "started" else run_fault)(rig, run, fault, random)
-            result["late_sends"] = rig.injector.late
+            result, lives = perform(rig, run)
             with open(spec["out"], "a", encoding="utf-8") as file:
                 file.write(json.dumps(result) + "\n")
-            print(f"{run['source']} {run['rate']:g} Hz, {fault.name} ({result['strength']}): "
+            print(f"{run['source']} {run['rate']:g} Hz, {run['fault']} ({result.get('strength', '')}): "
                   f"{'; '.join(result['violations']) or 'as it must'}", flush=True)
-            if rig.graph_kind == "started" or fault.recovery == RESTART or fault.name == "master_dies" or \
-                    any("not well again" in words or "has ended" in words for words in result["violations"]):
+            if not lives:
                 break
-    except Exception:  # whatever it is, the campaign is to hear of it
-        traceback.print_exc()
-        return 1
     finally:
         rig.close()
-    return 0
 
 
 if __name__ == "__main__":
-    status = main(sys.argv[1])
+    status = 1
+    try:
+        main(sys.argv[1])
+        status = 0
+    except Exception:  # of a graph that does not come up; the campaign goes on with the next one
+        traceback.print_exc()
     sys.stdout.flush()
     os._exit(status)  # rospy's threads may wait for a master that is dead
