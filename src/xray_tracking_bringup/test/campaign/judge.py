@@ -6,6 +6,7 @@ import sys
 import threading
 import time
 
+import numpy as np
 import rospy
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from rosgraph_msgs.msg import Log
@@ -15,6 +16,7 @@ sys.path.insert(0, os.path.join(os.path.dirname(os.path.abspath(__file__)), ".."
 from graph_test_case import matrix, target_registration_error_mm  # noqa: E402
 
 WRONG_MM = 2.0
+LOST_M, LOST_RAD = 0.01, 0.07  # twice refinement/max_correction, and refinement/max_correction_rotation
 REASONS = {value: name for name, value in vars(BeamGate).items() if name.isupper() and isinstance(value, int)}
 Motion = collections.namedtuple("Motion", "time state source")
 
@@ -122,6 +124,16 @@ class Judge:
             poses = [(float("inf") if error is None else error, self.opened.get(stamp, was_open))
                      for when, stamp, error, was_open in self.poses if since <= when <= until]
             return [error for error, is_open in poses if is_open], [error for error, _ in poses]
+
+    def gone_too_far(self, since, until):
+        """Whether the target was ever farther from where it was first in that time than registrations look for it
+        without a track (docs/safety.md): then somebody has to say where it is."""
+        truth = [self.injector.truth[stamp] for stamp, when in sorted(self.injector.sent_at.items())
+                 if since <= when <= until]
+        centre = np.append(np.mean(self.box_mm, axis=0) / 1000.0, 1.0)
+        turns = [np.arccos(np.clip((np.trace(truth[0][:3, :3].T @ now[:3, :3]) - 1) / 2, -1, 1)) for now in truth]
+        ways = [np.linalg.norm((now - truth[0]) @ centre) for now in truth]
+        return max(ways, default=0.0) > LOST_M or max(turns, default=0.0) > LOST_RAD
 
     def answers(self, since, until):
         """Exposures sent in that time, how many of them have an answer, and how many a pose."""

@@ -20,13 +20,19 @@ def largest(results, key, form):
     return format(max(values), form) if values else ""
 
 
+def lost(results):
+    """How many were not well again, as the target had gone too far unseen."""
+    count = sum(bool(result.get("gone_too_far")) and result.get("recovered_s") is None for result in results)
+    return f"; {count} not" if count else ""
+
+
 def row(name, results):
     fault = FAULTS[name]
     closed = [result for result in results if result.get("closed_s") is not None]
     wrong = sum(result.get("wrong_open", 0) for result in results)
     return (f"| {fault.words} | {fault.must} | {fault.recovery} | {len(results)} | "
             f"{len(closed)}, {largest(closed, 'closed_s', '.2f')} | {largest(results, 'worst_open_mm', '.2f')} | {wrong} | "
-            f"{largest(results, 'recovered_s', '.1f')} | {sum(bool(result['violations']) for result in results)} |")
+            f"{largest(results, 'recovered_s', '.1f')}{lost(results)} | {sum(bool(result['violations']) for result in results)} |")
 
 
 def table(results):

@@ -143,7 +143,8 @@ def judge_run(rig, fault, onset, ended, recovered, finished):
         violations.append("the gate was open")
     if fault.must != UNSEEN and result["wrong_open"]:
         violations.append(f"{result['wrong_open']} poses of up to {result['worst_open_mm']:.2f} mm under an open gate")
-    if recovered is None and fault.recovery != RESTART and rig.graph_kind != "started":
+    result["gone_too_far"] = bool(rig.judge.gone_too_far(onset, finished))
+    if recovered is None and fault.recovery != RESTART and rig.graph_kind != "started" and not result["gone_too_far"]:
         violations.append(f"not well again within {fault.recovery_s} s; {rig.judge.last_text()}")
     return result, violations
 
@@ -215,8 +216,7 @@ def perform(rig, run):
         traceback.print_exc()
         return {**run, "violations": [f"it could not be run: {error}"]}, False
     result["late_sends"] = rig.injector.late
-    lives = not (rig.graph_kind == "started" or ends_graph(fault) or
-                 any("not well again" in words or "has ended" in words for words in result["violations"]))
+    lives = rig.graph_kind != "started" and not ends_graph(fault) and result["recovered_s"] is not None
     return result, lives
 
 
