@@ -25,6 +25,7 @@ class Fault:
     recovery_s: float = 15.0     # by then the gate is open again
     graph: str = "plain"         # plain; interposed, sim_time, record: see campaign.launch; started: before the graph is
     dies: tuple = ()             # nodes that it ends
+    begins_anew: bool = False    # the patient is taken to be at the initial pose behind it
 
 
 FAULTS = {}

@@ -89,7 +89,7 @@ def clock_jumps_forward(rig, random):
     return clock_jump(rig, 10 ** random.uniform(0.3, 3.5))
 
 
-@fault("the clock (/clock) jumps back", CLOSES_ONCE, graph="sim_time")
+@fault("the clock (/clock) jumps back", CLOSES_ONCE, graph="sim_time", begins_anew=True)
 def clock_jumps_back(rig, random):
     return clock_jump(rig, -10 ** random.uniform(0.3, 2.0))
 

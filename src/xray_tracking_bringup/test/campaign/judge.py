@@ -125,14 +125,15 @@ class Judge:
                      for when, stamp, error, was_open in self.poses if since <= when <= until]
             return [error for error, is_open in poses if is_open], [error for error, _ in poses]
 
-    def gone_too_far(self, since, until):
-        """Whether the target was ever farther from where it was first in that time than registrations look for it
-        without a track (docs/safety.md): then somebody has to say where it is."""
+    def gone_too_far(self, since, until, known=None):
+        """Whether the target was ever farther from a known pose, or from where it was first in that time, than
+        registrations look for it without a track (docs/safety.md): then somebody has to say where it is."""
         truth = [self.injector.truth[stamp] for stamp, when in sorted(self.injector.sent_at.items())
                  if since <= when <= until]
+        known = truth[0] if known is None else known
         centre = np.append(np.mean(self.box_mm, axis=0) / 1000.0, 1.0)
-        turns = [np.arccos(np.clip((np.trace(truth[0][:3, :3].T @ now[:3, :3]) - 1) / 2, -1, 1)) for now in truth]
-        ways = [np.linalg.norm((now - truth[0]) @ centre) for now in truth]
+        turns = [np.arccos(np.clip((np.trace(known[:3, :3].T @ now[:3, :3]) - 1) / 2, -1, 1)) for now in truth]
+        ways = [np.linalg.norm((now - known) @ centre) for now in truth]
         return max(ways, default=0.0) > LOST_M or max(turns, default=0.0) > LOST_RAD
 
     def answers(self, since, until):

@@ -143,7 +143,8 @@ def judge_run(rig, fault, onset, ended, recovered, finished):
         violations.append("the gate was open")
     if fault.must != UNSEEN and result["wrong_open"]:
         violations.append(f"{result['wrong_open']} poses of up to {result['worst_open_mm']:.2f} mm under an open gate")
-    result["gone_too_far"] = bool(rig.judge.gone_too_far(onset, finished))
+    result["gone_too_far"] = bool(
+        rig.judge.gone_too_far(onset, finished, rig.setup.initial_pose if fault.begins_anew else None))
     if recovered is None and fault.recovery != RESTART and rig.graph_kind != "started" and not result["gone_too_far"]:
         violations.append(f"not well again within {fault.recovery_s} s; {rig.judge.last_text()}")
     return result, violations
