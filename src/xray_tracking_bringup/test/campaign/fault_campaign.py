@@ -92,7 +92,7 @@ def sessions(runs, seed):
     for run in runs:
         graph = FAULTS[run["fault"]].graph
         groups[run["source"], run["rate"], graph].append(run)
-    for (_, _, graph), group in sorted(groups.items()):
+    for (_, _, graph), group in groups.items():
         random = np.random.default_rng(seed)
         group = [group[i] for i in random.permutation(len(group))]
         lasting = [run for run in group if not ends_graph(FAULTS[run["fault"]])]

@@ -182,9 +182,9 @@ def run_started(rig, run, fault, random):
 
 
 def run_fault(rig, run, fault, random):
+    time.sleep(random.uniform(0.0, 1.0))
     if rig.judge.wait_until_well(START_S) is None:
         raise TimeoutError(f"the graph is not well before the fault: {rig.judge.last_text()}")
-    time.sleep(random.uniform(0.0, 1.0))
     since, seconds = rig.graph.log_size(), random.uniform(*fault.seconds)
     begun, rig.onset = time.monotonic(), None
     end, strength = fault.inject(rig, random)
