@@ -110,6 +110,16 @@ class ConfigurationTest(unittest.TestCase):
         self.assertEqual(wanted - ours - theirs - set(rospkg.RosPack().list()), set())
         self.assertEqual((ours | theirs) - wanted, set(), "keys that nobody needs")
 
+    def test_what_becomes_of_a_node_that_dies(self):
+        for name in ("tracking.launch", "playback.launch", "treatment_room.launch"):
+            path = next(path for path in files("launch", "*.launch") if path.name == name)
+            arguments = REQUIRED_ARGUMENTS.get(name, []) + ["method:=tracking_and_registration", "rviz:=true",
+                                                            "record:=/recorded.bag"]
+            for node in load(path, arguments).nodes:
+                expected = {"recorder": "nothing", "rviz": "nothing", "player": "nothing"}
+                policy = "required" if node.required else "respawn" if node.respawn else "nothing"
+                self.assertEqual(policy, expected.get(node.name, "respawn"), f"{name}: {node.name}")
+
     def test_every_yaml_file_is_one(self):
         paths = list(files("config", "*.yaml")) + list(files("rviz", "*.rviz"))
         self.assertGreaterEqual(len(paths), 5)

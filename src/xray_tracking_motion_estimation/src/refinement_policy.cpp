@@ -27,6 +27,9 @@ constexpr double kSigmas = 3.0;
 /// What two registrations of the same target are apart by that their covariances do not know of: twice the p95 of the
 /// field's best figures [mm].
 constexpr double kRegistrationSpread = 0.7;
+/// How fast tissue in the regions gains on the target, at most: 1 mm (tissue_sigma) in a breath of 4 s is 1.6 mm/s at
+/// its fastest, and a swallow makes three times as much [mm/s].
+constexpr double kSlipSpeed = 5.0;
 
 /// Of a correlation coefficient of 0.9 over 4000 independent pixels, (1 - r^2) / sqrt(n): two poses that differ by less
 /// are equally similar.
@@ -187,12 +190,9 @@ void RefinementPolicy::extendChain(const RefinementReply& reply, std::int64_t st
   if (chain_ && stamp > chain_->stamp)
   {
     const Twist way = targetMotion(chain_->refined, chain.refined, target_centre_);
-    const PoseCovariance covariance = covarianceAt(target_centre_, chain_->refined, chain_->covariance) +
-                                      covarianceAt(target_centre_, chain.refined, chain.covariance);
-    const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> axes(covariance.topLeftCorner<3, 3>(), Eigen::EigenvaluesOnly);
     const double gone = options_.target_speed * 1e-9 * static_cast<double>(stamp - chain_->stamp);
-    const double bound =
-        std::min(gone + kSigmas * std::sqrt(axes.eigenvalues()[2]), options_.max_correction) + kRegistrationSpread;
+    const double spread = kSigmas * worstSigma(chain_->refined, chain_->covariance, chain.refined, chain.covariance);
+    const double bound = std::min(gone + spread, options_.max_correction) + kRegistrationSpread;
     if (way.tail<3>().norm() <= bound && way.head<3>().norm() <= options_.max_correction_rotation)
     {
       chain.length = std::min(chain_->length + 1, kChainWithoutTracks);
@@ -234,6 +234,10 @@ RefinementPolicy::Judgement RefinementPolicy::judge(const RefinementReply& reply
       {
         judgement.reason.clear();
       }
+      if (judgement.reason.empty())
+      {
+        judgement.reason = leap(reply, exposure);
+      }
     }
     chain_->against = exposure.tracked && !judgement.reason.empty() ? chain_->against + 1 : 0;
     if (chain_->against >= kChainAgainstTracks && excess(reply, exposure, kMaxFactor).empty())
@@ -259,6 +263,7 @@ RefinementPolicy::Judgement RefinementPolicy::judge(const RefinementReply& reply
   }
   ++accepted_;
   anchor_ = reply.room_from_patient;
+  last_accepted_ = Accepted{ exposure.stamp, reply.room_from_patient, reply.covariance };
   not_before_ = 0;
   judgement.refinement = Refinement{ exposure.stamp,
                                      exposure.tracked ? std::make_optional(exposure.room_from_patient) : std::nullopt,
@@ -289,6 +294,7 @@ RefinementPolicy::Judgement RefinementPolicy::judgeClaimed(const RefinementReply
   ++accepted_;
   chain_ = Chain{ claim.stamp, reply.room_from_patient, reply.covariance, 1, 1, 0 };
   anchor_ = reply.room_from_patient;
+  last_accepted_ = Accepted{ claim.stamp, reply.room_from_patient, reply.covariance };
   not_before_ = 0;
   judgement.refinement =
       Refinement{ claim.stamp, std::nullopt, reply.room_from_patient, reply.covariance, false, true };
@@ -350,8 +356,37 @@ std::string RefinementPolicy::contradiction(const RefinementReply& reply, const 
   return std::string();
 }
 
+std::string RefinementPolicy::leap(const RefinementReply& reply, const RefinementSeed& exposure) const
+{
+  if (!last_accepted_ || exposure.stamp <= last_accepted_->stamp)
+  {
+    return std::string();
+  }
+  const RigidTransform& before = last_accepted_->refined;
+  const double way = targetMotion(before, reply.room_from_patient, target_centre_).tail<3>().norm();
+  const double off = targetMotion(exposure.room_from_patient, reply.room_from_patient, target_centre_).tail<3>().norm();
+  const double since = 1e-9 * static_cast<double>(exposure.stamp - last_accepted_->stamp);
+  const double spread =
+      kSigmas * worstSigma(before, last_accepted_->covariance, reply.room_from_patient, reply.covariance);
+  const double bound = kSlipSpeed * since + spread + kRegistrationSpread;
+  return std::min(way, off) <= bound
+             ? std::string()
+             : compose("the refinement leaps: the target is ", way, " mm from the one ", since, " s before, and ", off,
+                       " mm from where the tracks have it, expected at most ", bound, " mm of one of them");
+}
+
+double RefinementPolicy::worstSigma(const RigidTransform& one, const PoseCovariance& its_covariance,
+                                    const RigidTransform& other, const PoseCovariance& other_covariance) const
+{
+  const PoseCovariance covariance =
+      covarianceAt(target_centre_, one, its_covariance) + covarianceAt(target_centre_, other, other_covariance);
+  const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> axes(covariance.topLeftCorner<3, 3>(), Eigen::EigenvaluesOnly);
+  return std::sqrt(axes.eigenvalues()[2]);
+}
+
 void RefinementPolicy::reset()
 {
+  last_accepted_.reset();
   pending_.reset();
   chain_.reset();
   anchor_.reset();

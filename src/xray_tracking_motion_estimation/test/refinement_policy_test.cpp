@@ -403,6 +403,36 @@ TEST_F(RefinementTest, RegistrationsThatFollowEachOtherOutweighWhatTracksAreUnce
   EXPECT_EQ(refine(policy, exposureAt(moved(2.0)), moved(0.4)).verdict, RefinementVerdict::CONTRADICTS);
 }
 
+// Of 0.2 mm standard deviation between the two, 0.7 mm of spread and 5 mm/s of tissue, 0.42 + 0.7 + 0.17 mm may be a
+// registration's own in a thirtieth of a second, whatever tissue makes the tracks uncertain by in the long run.
+TEST_F(RefinementTest, RefusesALeapThatTheTracksHaveNotSeen)
+{
+  options.mode = RefinementMode::EVERY_FRAME;
+  {
+    RefinementPolicy policy = makePolicy();
+    EXPECT_TRUE(refine(policy, exposureAt(moved(0.0)), moved(3.0)).refinement) << "the first one has none before it";
+    EXPECT_EQ(refine(policy, exposureAt(moved(3.0)), moved(6.0)).verdict, RefinementVerdict::CONTRADICTS);
+    EXPECT_NE(policy.lastRefusal().find("leaps"), std::string::npos) << policy.lastRefusal();
+    EXPECT_TRUE(refine(policy, exposureAt(moved(3.0)), moved(3.1)).refinement) << "the next good one is believed";
+    // The target has moved so, or the tracks have alone.
+    EXPECT_TRUE(refine(policy, exposureAt(moved(6.1)), moved(6.1)).refinement) << policy.lastRefusal();
+    EXPECT_TRUE(refine(policy, exposureAt(moved(9.1)), moved(6.1)).refinement) << policy.lastRefusal();
+  }
+  {
+    // Three in a row outweigh the tracks.
+    RefinementPolicy policy = makePolicy();
+    EXPECT_TRUE(refine(policy, exposureAt(moved(0.0)), moved(0.0)).refinement);
+    EXPECT_EQ(refine(policy, exposureAt(moved(0.0)), moved(3.0)).verdict, RefinementVerdict::CONTRADICTS);
+    EXPECT_EQ(refine(policy, exposureAt(moved(0.0)), moved(3.0)).verdict, RefinementVerdict::CONTRADICTS);
+    EXPECT_TRUE(refine(policy, exposureAt(moved(0.0)), moved(3.0)).refinement) << policy.lastRefusal();
+  }
+  // In a second tissue makes as much.
+  RefinementPolicy policy = makePolicy();
+  EXPECT_TRUE(refine(policy, exposureAt(moved(0.0)), moved(0.0)).refinement);
+  now += 1000 * kMillisecond;
+  EXPECT_TRUE(refine(policy, exposureAt(moved(0.0)), moved(3.0)).refinement) << policy.lastRefusal();
+}
+
 // Tracks measure the target's translation in the room and, if at all, its rotation since the reference; the reference
 // was wrong by a rotation and a translation. The answer comes after the target has moved on.
 TEST(Refinement, IsCarriedForwardByTheMotionSince)

@@ -121,12 +121,13 @@ enum class RefinementVerdict
 
 /// Says when to ask for refinements and judges what comes back. One request at a time; all methods from one thread.
 ///
-/// A believed pose is accepted if it agrees with the tracked one, by bounds and by chi-square. Registrations that agree
-/// with each other, by the way that the target can have gone meanwhile, outweigh tracks: three in a row those that are
-/// off by more than chi-square allows, if exposures are so dense that this way is less than the bound; three in a row
-/// that contradict them those that are off by up to twice the bound; two in a row those that have lost the target, up
-/// to the bound and the way that the target can have gone since the last pose, twice the bound at most. So nobody gets
-/// to the next vertebra, which is 18 mm away or more, however long nothing was seen.
+/// A believed pose is accepted if it agrees with the tracked one, by bounds and by chi-square, and is no leap
+/// that the tracks have not seen. Registrations that agree with each other, by the way
+/// that the target can have gone meanwhile, outweigh tracks: three in a row those that are off by more than chi-square
+/// allows, if exposures are so dense that this way is less than the bound; three in a row that contradict them or
+/// leap those that are off by up to twice the bound; two in a row those that have lost the target, up to
+/// the bound and the way that the target can have gone since the last pose, twice the bound at most. So nobody gets to
+/// the next vertebra, which is 18 mm away or more, however long nothing was seen.
 class RefinementPolicy
 {
 public:
@@ -194,12 +195,25 @@ private:
     int dense;    ///< the last ones of them between which the target cannot have gone far
     int against;  ///< the last ones of them that contradict the tracks
   };
+  struct Accepted
+  {
+    std::int64_t stamp;  ///< [ns]
+    RigidTransform refined;
+    PoseCovariance covariance;
+  };
   /// What is wrong with an answer by itself; empty if nothing is.
   std::string fault(const RefinementReply& reply) const;
   /// How it is out of the bounds of a correction; empty if it is not. @param factor on the bounds
   std::string excess(const RefinementReply& reply, const RefinementSeed& exposure, double factor) const;
   /// How it contradicts the tracked pose within the bounds; empty if it does not.
   std::string contradiction(const RefinementReply& reply, const RefinementSeed& exposure) const;
+  /// How it is farther from the accepted one before than tissue and the two registrations' spread account for in the
+  /// time between, and as far from the tracked pose, which counts from there: the tracks have not seen such a motion.
+  /// Empty if it is not.
+  std::string leap(const RefinementReply& reply, const RefinementSeed& exposure) const;
+  /// Standard deviation of the target's way from one pose to the other in its worst direction [mm].
+  double worstSigma(const RigidTransform& one, const PoseCovariance& its_covariance, const RigidTransform& other,
+                    const PoseCovariance& other_covariance) const;
   void extendChain(const RefinementReply& reply, std::int64_t stamp);
   Judgement judgeClaimed(const RefinementReply& reply, const RefinementSeed& claim);
 
@@ -207,6 +221,7 @@ private:
   Eigen::Vector3d target_centre_;
   std::optional<Pending> pending_;
   std::optional<Chain> chain_;
+  std::optional<Accepted> last_accepted_;
   std::optional<RigidTransform> anchor_;  ///< tracked pose at the start or just refined: what drift is counted from
   std::uint64_t next_id_ = 1;
   int exposures_since_request_ = 0;
