@@ -129,7 +129,7 @@ void ViewReferences::carry(const Refinement& refinement, const Eigen::Vector3d& 
 
 std::optional<std::int64_t> ViewReferences::templateStamp(std::size_t view) const
 {
-  const std::optional<Reference>& reference = references_[view];
+  const std::optional<ViewReference>& reference = references_[view];
   return reference && reference->template_stamp != kNoTemplate ? std::make_optional(reference->template_stamp)
                                                                : std::nullopt;
 }
