@@ -31,20 +31,21 @@ public:
   {
     const double start = processorTime();
     const auto wall_start = std::chrono::steady_clock::now();
-    bool ours = false;
-    for (const QObject* object = receiver; object != nullptr && !ours; object = object->parent())
+    const char* who = nullptr;  // static, as the receiver may be gone afterwards
+    for (const QObject* object = receiver; object != nullptr && who == nullptr; object = object->parent())
     {
-      ours = QByteArray(object->metaObject()->className()).startsWith("xray_tracking::");
+      const char* const name = object->metaObject()->className();
+      who = QByteArray(name).startsWith("xray_tracking::") ? name : nullptr;
     }
-    const char* const who = receiver->metaObject()->className();  // it may be gone afterwards
+    const char* const within = receiver->metaObject()->className();
     const int what = event->type();
     const bool result = QApplication::notify(receiver, event);
-    if (ours)
+    if (who != nullptr)
     {
       if (const double time = processorTime() - start; time > longest)
       {
         longest = time;
-        longest_of = std::string(who) + ", event " + std::to_string(what);
+        longest_of = std::string(who) + ", its " + within + ", event " + std::to_string(what);
       }
       longest_wall =
           std::max(longest_wall, std::chrono::duration<double>(std::chrono::steady_clock::now() - wall_start).count());
@@ -62,7 +63,7 @@ public:
   }
 
   static inline double longest = 0.0;       ///< processor time of one event [s]
-  static inline std::string longest_of;     ///< who had it: the receiver's class, the event's type
+  static inline std::string longest_of;     ///< whose it was: class of ours, the receiver's within, the event's type
   static inline double longest_wall = 0.0;  ///< [s]
   static inline int events = 0;
 };
