@@ -68,9 +68,14 @@ namespace
 bool isBounded(const std::vector<std::uint8_t>& data)
 {
   constexpr std::size_t kWidth = 16, kHeight = 20;  // of the header, which comes first
-  const auto isLarge = [&data](std::size_t at) { return data[at] > 0 || data[at + 1] > 0 || data[at + 2] > 0x40; };
+  constexpr std::uint32_t kLargest = 16384;
+  const auto number = [&data](std::size_t at)
+  {
+    return std::uint32_t{ data[at] } << 24 | std::uint32_t{ data[at + 1] } << 16 | std::uint32_t{ data[at + 2] } << 8 |
+           data[at + 3];
+  };
   return data.size() < kHeight + 4 || data[1] != 'P' || data[2] != 'N' || data[3] != 'G' ||
-         (!isLarge(kWidth) && !isLarge(kHeight));
+         (number(kWidth) <= kLargest && number(kHeight) <= kLargest);
 }
 }  // namespace
 
