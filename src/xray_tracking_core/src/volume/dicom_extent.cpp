@@ -77,7 +77,7 @@ public:
     }
     const std::uint64_t start_of_meta = position_;
     const std::string syntax = metaInformation();
-    if (has_preamble && position_ == start_of_meta)
+    if (has_preamble && position_ == start_of_meta && position_ < size_)
     {
       throw Found{ State::UNSAFE, true, "no meta information follows its preamble; export it again" };
     }
