@@ -4,6 +4,7 @@
 #include <cstring>
 #include <stdexcept>
 #include <string>
+#include <vector>
 
 #include <opencv2/imgcodecs.hpp>
 
@@ -19,6 +20,26 @@ bool machineIsBigEndian()
   std::uint8_t first = 0;
   std::memcpy(&first, &one, 1);
   return first == 0;
+}
+/// Whether they are a JPEG, or a PNG that holds the pixels that it claims: of other formats OpenCV would decode, too,
+/// and make room for whatever a few bytes claim.
+bool mayBeDecoded(const std::vector<std::uint8_t>& data)
+{
+  constexpr std::size_t kSizeAt = 16;  // in a PNG: columns and rows
+  if (data.size() < kSizeAt + 8)
+  {
+    return false;
+  }
+  if (data[0] == 0xFF && data[1] == 0xD8)
+  {
+    return true;
+  }
+  const auto number = [&](std::size_t at)
+  { return data[at] * 16777216.0 + data[at + 1] * 65536.0 + data[at + 2] * 256.0 + data[at + 3]; };
+  constexpr double kMostPacked = 1032.0;  // deflate's
+  constexpr double kSmall = 1 << 24;      // pixels
+  return std::memcmp(data.data(), "\x89PNG", 4) == 0 &&
+         number(kSizeAt) * number(kSizeAt + 4) <= kSmall + kMostPacked * static_cast<double>(data.size());
 }
 }  // namespace
 
@@ -66,7 +87,10 @@ cv::Mat pixelsFromMsg(const sensor_msgs::CompressedImage& message)
   cv::Mat pixels;
   try
   {
-    pixels = message.data.empty() ? cv::Mat() : cv::imdecode(message.data, cv::IMREAD_UNCHANGED);
+    if (mayBeDecoded(message.data))
+    {
+      pixels = cv::imdecode(message.data, cv::IMREAD_UNCHANGED);
+    }
   }
   catch (const cv::Exception&)
   {

@@ -27,12 +27,13 @@ public:
   static YamlField fromFile(const std::string& path)
   {
     std::ifstream file(path);
-    std::ostringstream text;
-    text << file.rdbuf();  // of a folder it goes bad
-    if (!file.is_open() || text.bad())
+    file.peek();
+    if (!file.is_open() || file.bad())  // bad: a folder
     {
       throw std::runtime_error(path + ": missing or not readable");
     }
+    std::ostringstream text;
+    text << file.rdbuf();
     return fromText(text.str(), path);
   }
   /// @param name what stands for the file in messages, and where relative paths start
