@@ -4,6 +4,7 @@
 #include <cstring>
 #include <stdexcept>
 #include <string>
+#include <vector>
 
 #include <opencv2/imgcodecs.hpp>
 
@@ -19,6 +20,28 @@ bool machineIsBigEndian()
   std::uint8_t first = 0;
   std::memcpy(&first, &one, 1);
   return first == 0;
+}
+/// Whether they are a JPEG, or a PNG that holds the pixels that it claims: of other formats OpenCV would decode, too,
+/// and make room for whatever a few bytes claim.
+bool mayBeDecoded(const std::vector<std::uint8_t>& data)
+{
+  constexpr std::size_t kSizeAt = 16;  // in a PNG: columns and rows
+  if (data.size() < kSizeAt + 8)
+  {
+    return false;
+  }
+  if (data[0] == 0xFF && data[1] == 0xD8)
+  {
+    return true;
+  }
+  const auto number = [&](std::size_t at)
+  { return data[at] * 16777216.0 + data[at + 1] * 65536.0 + data[at + 2] * 256.0 + data[at + 3]; };
+  constexpr double kMostPacked = 1032.0;  // deflate's
+  constexpr double kSmall = 1 << 24;      // pixels
+  constexpr double kLargest = 16384.0;    // columns and rows
+  return std::memcmp(data.data(), "\x89PNG", 4) == 0 && number(kSizeAt) <= kLargest &&
+         number(kSizeAt + 4) <= kLargest &&
+         number(kSizeAt) * number(kSizeAt + 4) <= kSmall + kMostPacked * static_cast<double>(data.size());
 }
 }  // namespace
 
@@ -61,31 +84,15 @@ cv::Mat pixelsFromMsg(const sensor_msgs::Image& message)
   return pixels;
 }
 
-namespace
-{
-/// Whether it is no PNG that claims more than any panel has: a kilobyte may claim, and be decoded to, gigabytes. OpenCV
-/// bounds other formats, to a gigapixel.
-bool isBounded(const std::vector<std::uint8_t>& data)
-{
-  constexpr std::size_t kWidth = 16, kHeight = 20;  // of the header, which comes first
-  constexpr std::uint32_t kLargest = 16384;
-  const auto number = [&data](std::size_t at)
-  {
-    return std::uint32_t{ data[at] } << 24 | std::uint32_t{ data[at + 1] } << 16 | std::uint32_t{ data[at + 2] } << 8 |
-           data[at + 3];
-  };
-  return data.size() < kHeight + 4 || data[1] != 'P' || data[2] != 'N' || data[3] != 'G' ||
-         (number(kWidth) <= kLargest && number(kHeight) <= kLargest);
-}
-}  // namespace
-
 cv::Mat pixelsFromMsg(const sensor_msgs::CompressedImage& message)
 {
   cv::Mat pixels;
   try
   {
-    pixels =
-        message.data.empty() || !isBounded(message.data) ? cv::Mat() : cv::imdecode(message.data, cv::IMREAD_UNCHANGED);
+    if (mayBeDecoded(message.data))
+    {
+      pixels = cv::imdecode(message.data, cv::IMREAD_UNCHANGED);
+    }
   }
   catch (const cv::Exception&)
   {

@@ -44,15 +44,18 @@ TEST_F(TakenUpTest, MotionCountsFromTheSamePoseOnceARegistrationHasConfirmedIt)
   die();
   EXPECT_FALSE(monitor->gate().open());
 
-  // A registration that refuses confirms nothing.
+  // A registration that refuses confirms nothing, and the next two have to agree.
   expose({ 2.5, 0.0, 0.0 });
   const RefinementRequest asked = request();
   EXPECT_TRUE(asked.unverified);
   EXPECT_NEAR((asked.room_from_patient.translation() - initialPose().translation()).x(), 4.5, 1e-3);
   monitor->onReply(doubted(asked.id), now);
   expectNone(decision(), MotionState::NO_REFERENCE, "has died");
-  EXPECT_FALSE(monitor->gate().verification().verified());
-  expectPose(registered({ 3.0, 0.0, 0.0 }, { 2.0, 0.0, 0.0 }), PoseSource::REGISTERED, { 5.0, 0.0, 0.0 }, kExact);
+  for (int i = 0; i < 2; ++i)
+  {
+    EXPECT_FALSE(monitor->gate().verification().verified());
+    expectPose(registered({ 3.0, 0.0, 0.0 }, { 2.0, 0.0, 0.0 }), PoseSource::REGISTERED, { 5.0, 0.0, 0.0 }, kExact);
+  }
   EXPECT_TRUE(monitor->gate().verification().verified());
   expose({ 3.5, 0.0, 0.0 });
   monitor->onReply(doubted(request().id), now);

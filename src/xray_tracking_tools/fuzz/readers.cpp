@@ -174,6 +174,7 @@ void readRtk(const std::string& bytes)
 void readDetectors(const std::string& bytes)
 {
   const std::string path = folder().write("detectors.yaml", bytes);
+  expected_name = folder().path();  // of a file that it names, too
   loadDistortions(path, loadDetectors(path));
   importFrom({ path }, {});
 }

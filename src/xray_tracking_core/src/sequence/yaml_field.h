@@ -4,9 +4,11 @@
 #include <cmath>
 #include <cstdint>
 #include <filesystem>
+#include <fstream>
 #include <initializer_list>
 #include <optional>
 #include <set>
+#include <sstream>
 #include <stdexcept>
 #include <string>
 #include <system_error>
@@ -14,6 +16,7 @@
 #include <utility>
 #include <vector>
 
+#include <yaml-cpp/eventhandler.h>
 #include <yaml-cpp/yaml.h>
 #include <Eigen/Core>
 
@@ -33,12 +36,35 @@ public:
       throw std::runtime_error(path + ": is " + std::to_string(bytes >> 20) + " MB, expected keys with values in " +
                                std::to_string(kMostBytes >> 20) + " MB at most");
     }
-    return rootOf(path, [&] { return YAML::LoadAllFromFile(path); });
+    std::ifstream file(path);
+    file.peek();
+    if (!file.is_open() || file.bad())  // bad: a folder
+    {
+      throw std::runtime_error(path + ": missing or not readable");
+    }
+    std::ostringstream text;
+    text << file.rdbuf();
+    return fromText(text.str(), path);
   }
   /// @param name what stands for the file in messages, and where relative paths start
   static YamlField fromText(const std::string& text, const std::string& name)
   {
-    return rootOf(name, [&] { return YAML::LoadAll(text); });
+    try
+    {
+      const YamlField root(name, "", YAML::Load(text));
+      if (!root.node_.IsMap())
+      {
+        throw std::runtime_error(name + ": expected keys with values");
+      }
+      requireOneDocument(text, name);
+      int left = kMostNodes;
+      root.requireKeysOnce(left, 0);
+      return root;
+    }
+    catch (const YAML::Exception& error)
+    {
+      throw std::runtime_error(name + ": not YAML: " + error.what());
+    }
   }
 
   std::optional<YamlField> find(const std::string& key) const
@@ -226,33 +252,31 @@ private:
     return edits[key.size()][name.size()] <= most;
   }
 
-  template <typename Load>
-  static YamlField rootOf(const std::string& name, Load load)
+  /// Passes over what a document holds.
+  struct Ignored : YAML::EventHandler
   {
-    try
+    using Style = YAML::EmitterStyle::value;
+
+    void OnDocumentStart(const YAML::Mark&) override {}
+    void OnDocumentEnd() override {}
+    void OnNull(const YAML::Mark&, YAML::anchor_t) override {}
+    void OnAlias(const YAML::Mark&, YAML::anchor_t) override {}
+    void OnScalar(const YAML::Mark&, const std::string&, YAML::anchor_t, const std::string&) override {}
+    void OnSequenceStart(const YAML::Mark&, const std::string&, YAML::anchor_t, Style) override {}
+    void OnSequenceEnd() override {}
+    void OnMapStart(const YAML::Mark&, const std::string&, YAML::anchor_t, Style) override {}
+    void OnMapEnd() override {}
+  };
+
+  /// Not by YAML::LoadAll: of a stray % it makes documents without an end.
+  static void requireOneDocument(const std::string& text, const std::string& name)
+  {
+    std::istringstream stream(text);
+    YAML::Parser parser(stream);
+    Ignored ignored;
+    if (parser.HandleNextDocument(ignored) && parser.HandleNextDocument(ignored))
     {
-      const std::vector<YAML::Node> documents = load();
-      const YamlField root(name, "", documents.empty() ? YAML::Node() : documents.front());
-      if (!root.node_.IsMap())
-      {
-        throw std::runtime_error(name + ": expected keys with values");
-      }
-      if (documents.size() > 1)
-      {
-        throw std::runtime_error(name + ": has " + std::to_string(documents.size()) +
-                                 " documents, parted by ---: expected one");
-      }
-      int left = kMostNodes;
-      root.requireKeysOnce(left, 0);
-      return root;
-    }
-    catch (const YAML::BadFile&)
-    {
-      throw std::runtime_error(name + ": missing or not readable");
-    }
-    catch (const YAML::Exception& error)
-    {
-      throw std::runtime_error(name + ": not YAML: " + error.what());
+      throw std::runtime_error(name + ": has 2 documents or more, parted by ---: expected one");
     }
   }
 

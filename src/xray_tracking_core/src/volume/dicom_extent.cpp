@@ -77,7 +77,7 @@ public:
     }
     const std::uint64_t start_of_meta = position_;
     const std::string syntax = metaInformation();
-    if (has_preamble && position_ == start_of_meta)
+    if (has_preamble && position_ == start_of_meta && position_ < size_)
     {
       throw Found{ State::UNSAFE, true, "no meta information follows its preamble; export it again" };
     }
@@ -275,6 +275,15 @@ private:
     }
   }
 
+  /// GDCM makes room for what a delimiter says that it holds.
+  void requireEmpty(const Element& delimiter) const
+  {
+    if (delimiter.length != 0)
+    {
+      irregular(delimiter.tag, "has a length");
+    }
+  }
+
   /// Elements up to `end`, or to a delimiter if `open`.
   void elements(std::uint64_t end, bool open, bool is_explicit, int depth)
   {
@@ -288,6 +297,7 @@ private:
       const Element element = header(is_explicit);
       if (element.tag == kItemEnd && open)
       {
+        requireEmpty(element);
         return;
       }
       if (element.tag >> 16 == 0xFFFE)
@@ -342,11 +352,16 @@ private:
       const Element item = header(false);
       if (item.tag == kSequenceEnd && open)
       {
+        requireEmpty(item);
         return;
       }
       if (item.tag != kItem)
       {
         irregular(item.tag, "in the place of an item");
+      }
+      if (item.length == kUndefined && fragments)
+      {
+        irregular(item.tag, "has no length");
       }
       if (item.length == kUndefined)
       {
