@@ -58,7 +58,7 @@ struct MotionEstimationOptions
 
   /// How long after a view's anchor tissue has got there [s], > 0: at the anchor what it had made of the track was
   /// taken out, and from there on its variance grows in proportion to the time, as a random walk's. A breath.
-  double tissue_time = 4.0;
+  double tissue_time = 3.0;
 
   /// Views whose rays through the target are nowhere further apart than this are refused [rad], in (0, pi / 2).
   double min_view_angle = 0.0873;

@@ -1,4 +1,4 @@
-"""Whether what a run said of its poses was true: their covariance against their errors, and errors under an open gate."""
+"""Whether what a run said of its poses is true: covariance against error, and errors under an open gate."""
 import dataclasses
 
 import numpy
