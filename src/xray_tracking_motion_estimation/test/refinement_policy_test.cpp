@@ -403,6 +403,31 @@ TEST_F(RefinementTest, RegistrationsThatFollowEachOtherOutweighWhatTracksAreUnce
   EXPECT_EQ(refine(policy, exposureAt(moved(2.0)), moved(0.4)).verdict, RefinementVerdict::CONTRADICTS);
 }
 
+// As of views made at different times, however well the tracks, which count from the last registration, agree.
+TEST_F(RefinementTest, RefusesViewsThatContradictEachOther)
+{
+  for (const double bad : { 0.61, std::nan("") })
+  {
+    requests.clear();
+    expectRefused(
+        "views contradict each other", [&](RefinementReply& reply) { reply.pull = bad; },
+        RefinementVerdict::CONTRADICTS);
+  }
+  RefinementPolicy policy = makePolicy();
+  expose(policy, exposureAt(moved(0.0)));
+  RefinementReply reply = answer(moved(0.0));
+  reply.pull = 0.59;
+  EXPECT_TRUE(policy.judge(reply).refinement) << policy.lastRefusal();
+  // Three in a row are as wrong.
+  for (int i = 0; i < 5; ++i)
+  {
+    expose(policy, exposureAt(moved(0.0)));
+    reply = answer(moved(0.0));
+    reply.pull = 0.8;
+    EXPECT_EQ(policy.judge(reply).verdict, RefinementVerdict::CONTRADICTS);
+  }
+}
+
 // Of 0.2 mm standard deviation between the two, 0.7 mm of spread and 5 mm/s of tissue, 0.42 + 0.7 + 0.17 mm may be a
 // registration's own in a thirtieth of a second, whatever tissue makes the tracks uncertain by in the long run.
 TEST_F(RefinementTest, RefusesALeapThatTheTracksHaveNotSeen)

@@ -114,17 +114,19 @@ def run_session(runs, source, folder, number, seed):
         with open(spec_path, "w", encoding="utf-8") as file:
             json.dump(spec, file)
         session = subprocess.Popen([sys.executable, os.path.join(HERE, "session.py"), spec_path])
+        failure = {}
         try:
-            failure = "the graph does not come up" if session.wait(SESSION_S) else ""
+            if session.wait(SESSION_S):
+                failure = {"violations": [], "not_begun": "the graph does not come up"}
         except subprocess.TimeoutExpired:
             session.kill()
-            failure = f"the session did not end within {SESSION_S} s"
+            failure = {"violations": [f"the session did not end within {SESSION_S} s"]}
         done = []
         if os.path.exists(out):
             with open(out, encoding="utf-8") as file:
                 done = [json.loads(line) for line in file]
         if len(done) < len(runs) and (failure or not done):
-            done.append({**runs[len(done)], "violations": [failure or "the session ended without a result"]})
+            done.append({**runs[len(done)], "violations": ["the session ended without a result"], **failure})
         results += done
         runs = runs[len(done):]
     return results

@@ -48,6 +48,7 @@ class Master:
                 return
             except OSError:
                 time.sleep(0.1)
+        self.kill()
         raise TimeoutError("the master does not come up within 30 s")
 
     def kill(self):

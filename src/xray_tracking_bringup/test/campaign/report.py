@@ -4,7 +4,7 @@ import os
 
 from scipy.stats import beta
 
-from fault import UNSEEN
+from fault import RESTART, UNSEEN
 from faults import FAULTS
 
 BEGIN, END = "<!-- table of faults: begin -->", "<!-- table of faults: end -->"
@@ -22,7 +22,10 @@ def largest(results, key, form):
 
 def lost(results):
     """How many were not well again, as the target had gone too far unseen."""
-    count = sum(bool(result.get("gone_too_far")) and result.get("recovered_s") is None for result in results)
+    fault = FAULTS[results[0]["fault"]]
+    if fault.recovery == RESTART or fault.graph == "started":
+        return ""
+    count = sum(result.get("recovered_s") is None and not result["violations"] for result in results)
     return f"; {count} not" if count else ""
 
 
@@ -39,20 +42,27 @@ def table(results):
     lines = ["| fault | what must come of it | who ends it | runs | closed: runs, after s at most | worst pose under an open "
              "gate [mm] | of them > 2 mm | open again after s at most | violations |", "|---" * 9 + "|"]
     for name in FAULTS:
-        own = [result for result in results if result["fault"] == name]
+        own = [result for result in begun(results) if result["fault"] == name]
         if own:
             lines.append(row(name, own))
     return "\n".join(lines)
 
 
+def begun(results):
+    return [result for result in results if "not_begun" not in result]
+
+
 def summary(results):
+    not_begun = len(results) - len(begun(results))
+    results = begun(results)
     violating = sum(bool(result["violations"]) for result in results)
     seen = [result for result in results if FAULTS[result["fault"]].must != UNSEEN]
     violating_seen = sum(bool(result["violations"]) for result in seen)
     sources = sorted({f"{result['source']} at {result['rate']:g} Hz" for result in results})
     return (f"{len(results)} runs ({', '.join(sources)}), {violating} of them with a violation. Of {len(seen)} runs of faults "
             f"that can be seen {violating_seen} violate: with 95 % confidence less than "
-            f"{100 * bounded_rate(len(seen), violating_seen):.1f} % of such faults do.")
+            f"{100 * bounded_rate(len(seen), violating_seen):.1f} % of such faults do."
+            + (f" {not_begun} runs more were not begun, as the graph was not well before the fault." if not_begun else ""))
 
 
 def document(results):
@@ -77,9 +87,9 @@ def write_into(path, results):
 
 def conclude(results):
     """Says what violated. @return exit status"""
-    violating = [result for result in results if result["violations"]]
-    for result in violating:
-        print(f"violation: {result['fault']}, seed {result['seed']}, {result['source']} at {result['rate']:g} Hz: "
-              f"{'; '.join(result['violations'])}")
+    faulty = [result for result in results if result["violations"] or "not_begun" in result]
+    for result in faulty:
+        words = "; ".join(result["violations"]) or result["not_begun"]
+        print(f"{result['fault']}, seed {result['seed']}, {result['source']} at {result['rate']:g} Hz: {words}")
     print(summary(results))
-    return 1 if violating or not results else 0
+    return 1 if faulty or not results else 0

@@ -22,6 +22,10 @@ START_S = 90.0  # until the gate is open, from the graph's start
 DEAD_NODE = re.compile(r"\[(?:/)?([\w/]+?)(?:-\d+)?\]")
 
 
+class NotBegun(Exception):
+    """The graph is not well before the fault, as on a machine that is too slow: no verdict on it."""
+
+
 class Rig:
     """What faults may lay hands on."""
 
@@ -184,7 +188,7 @@ def run_started(rig, run, fault, random):
 def run_fault(rig, run, fault, random):
     time.sleep(random.uniform(0.0, 1.0))
     if rig.judge.wait_until_well(START_S) is None:
-        raise TimeoutError(f"the graph is not well before the fault: {rig.judge.last_text()}")
+        raise NotBegun(f"the graph is not well before the fault: {rig.judge.last_text()}")
     since, seconds = rig.graph.log_size(), random.uniform(*fault.seconds)
     begun, rig.onset = time.monotonic(), None
     end, strength = fault.inject(rig, random)
@@ -213,6 +217,8 @@ def perform(rig, run):
     fault, random = FAULTS[run["fault"]], np.random.default_rng(run["seed"])
     try:
         result = (run_started if rig.graph_kind == "started" else run_fault)(rig, run, fault, random)
+    except NotBegun as error:
+        return {**run, "violations": [], "not_begun": str(error)}, False
     except Exception as error:  # whatever it is, the campaign is to hear of it
         traceback.print_exc()
         return {**run, "violations": [f"it could not be run: {error}"]}, False
@@ -233,7 +239,7 @@ def main(path):
             with open(spec["out"], "a", encoding="utf-8") as file:
                 file.write(json.dumps(result) + "\n")
             print(f"{run['source']} {run['rate']:g} Hz, {run['fault']} ({result.get('strength', '')}): "
-                  f"{'; '.join(result['violations']) or 'as it must'}", flush=True)
+                  f"{'; '.join(result['violations']) or result.get('not_begun', 'as it must')}", flush=True)
             if not lives:
                 break
     finally:

@@ -89,6 +89,7 @@ struct RefinementReply
   PoseCovariance covariance = PoseCovariance::Zero();
   double seed_similarity = 0.0;  ///< at the pose that the request started from
   double similarity = 0.0;       ///< at the refined pose
+  double pull = 0.0;             ///< by how much a view alone would move the target, the largest [mm]
 };
 
 /// An accepted refinement: that exposure's pose as it was tracked, if it was, and as it is.
@@ -115,19 +116,19 @@ enum class RefinementVerdict
 {
   ACCEPTED,
   REFUSED,      ///< the registration has failed, or is not believed, or its numbers are of no use
-  CONTRADICTS,  ///< it believes a pose that the tracked one contradicts: one of the two is wrong
+  CONTRADICTS,  ///< it believes a pose that the tracked one contradicts, or its views each other: one of them is wrong
   UNCONFIRMED   ///< it believes a pose, and there is no tracked one: the next exposure's has to agree with it
 };
 
 /// Says when to ask for refinements and judges what comes back. One request at a time; all methods from one thread.
 ///
-/// A believed pose is accepted if it agrees with the tracked one, by bounds and by chi-square, and is no leap
-/// that the tracks have not seen. Registrations that agree with each other, by the way
-/// that the target can have gone meanwhile, outweigh tracks: three in a row those that are off by more than chi-square
-/// allows, if exposures are so dense that this way is less than the bound; three in a row that contradict them or
-/// leap those that are off by up to twice the bound; two in a row those that have lost the target, up to
-/// the bound and the way that the target can have gone since the last pose, twice the bound at most. So nobody gets to
-/// the next vertebra, which is 18 mm away or more, however long nothing was seen.
+/// A believed pose is accepted if its views agree, and it with the tracked one, by bounds and by chi-square, and is no
+/// leap that the tracks have not seen. Registrations that agree with each other, by the way that the target can have
+/// gone meanwhile, outweigh tracks: three in a row those that are off by more than chi-square allows, if exposures are
+/// so dense that this way is less than the bound; three in a row that contradict them or leap those that are off by up
+/// to twice the bound; two in a row those that have lost the target, up to the bound and the way that the target can
+/// have gone since the last pose, twice the bound at most. So nobody gets to the next vertebra, which is 18 mm away or
+/// more, however long nothing was seen.
 class RefinementPolicy
 {
 public:

@@ -1,7 +1,9 @@
 #include "motion_messages.h"
 
 #include <algorithm>
+#include <cmath>
 #include <stdexcept>
+#include <string>
 
 #include "xray_tracking_conversions/conversions.h"
 
@@ -76,6 +78,14 @@ RefinementReply replyFrom(std::uint64_t id, const std::optional<RefinePose::Resp
     reply.covariance = covarianceFromPoseMsg(result.pose);
     reply.seed_similarity = result.similarity_before;
     reply.similarity = result.similarity_after;
+    for (const xray_tracking_msgs::ViewResidual& view : result.views)
+    {
+      if (!std::isfinite(view.pull))
+      {
+        throw std::invalid_argument("a view's pull is " + std::to_string(view.pull) + ", expected a number");
+      }
+      reply.pull = std::max(reply.pull, kMillimetresPerMetre * view.pull);
+    }
     reply.success = true;
   }
   catch (const std::exception& error)  // of a pose that is none

@@ -171,6 +171,7 @@ RefinementReply OfflineRun::registered(const RefinementRequest& request)
   reply.covariance = result.poseCovariance(setup_.targetCentre());
   reply.seed_similarity = result.similarity_before;
   reply.similarity = result.similarity_after;
+  reply.pull = result.figures.pull_mm;
   return reply;
 }
 }  // namespace xray_tracking
