@@ -36,8 +36,8 @@ struct AnatomySource
   std::string ct_path;
   CtContent content = CtContent::RECOGNISED;
   Eigen::AlignedBox3d target_box;  ///< patient frame [mm]
-  CtChoice ct_choice;
-  std::optional<std::string> data_folder;  ///< where the CT has to be below; nothing: anywhere
+  CtChoice ct_choice{};
+  std::optional<std::string> data_folder{};  ///< where the CT has to be below; nothing: anywhere
 
   /// Of all that the result hangs on: a file's name, time and size among it, and this code's version. Of a folder, of
   /// all files in it. @throws std::runtime_error naming the path if it is not there
