@@ -59,7 +59,7 @@ build_workspace() {
   local log="$build/build.log"
   mkdir -p "$build"
   say "Building (log: $log) ..."
-  if ! make_workspace -DCMAKE_BUILD_TYPE=Release "$@" 2>&1 | tee "$log" | show_build; then
+  if ! make_workspace -DCMAKE_BUILD_TYPE=Release -DCMAKE_EXPORT_COMPILE_COMMANDS=ON "$@" 2>&1 | tee "$log" | show_build; then
     fail "the build failed; see $log"
   fi
 }
