@@ -32,9 +32,9 @@ constexpr double kRegistrationSpread = 0.7;
 constexpr double kSlipSpeed = 5.0;
 
 /// By how much a view alone may move the target [mm]: in images made at one time, of a room that is as it is said to
-/// be, it is 0.1 at most (knee_real, thorax_01, phantom); tracks that are 0.63 apart are refused, too. Each exposure's
+/// be, it is 0.1 at most (knee_real, thorax_01, phantom). Each exposure's
 /// registration moves what tracks count from, so that tracks alone do not show a view that is late again and again.
-constexpr double kViewsApart = 0.6;
+constexpr double kViewsApart = 0.4;
 
 /// Of a correlation coefficient of 0.9 over 4000 independent pixels, (1 - r^2) / sqrt(n): two poses that differ by less
 /// are equally similar.

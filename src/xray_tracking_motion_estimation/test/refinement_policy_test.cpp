@@ -406,7 +406,7 @@ TEST_F(RefinementTest, RegistrationsThatFollowEachOtherOutweighWhatTracksAreUnce
 // As of views made at different times, however well the tracks, which count from the last registration, agree.
 TEST_F(RefinementTest, RefusesViewsThatContradictEachOther)
 {
-  for (const double bad : { 0.61, std::nan("") })
+  for (const double bad : { 0.41, std::nan("") })
   {
     requests.clear();
     expectRefused(
@@ -416,7 +416,7 @@ TEST_F(RefinementTest, RefusesViewsThatContradictEachOther)
   RefinementPolicy policy = makePolicy();
   expose(policy, exposureAt(moved(0.0)));
   RefinementReply reply = answer(moved(0.0));
-  reply.pull = 0.59;
+  reply.pull = 0.39;
   EXPECT_TRUE(policy.judge(reply).refinement) << policy.lastRefusal();
   // Three in a row are as wrong.
   for (int i = 0; i < 5; ++i)
