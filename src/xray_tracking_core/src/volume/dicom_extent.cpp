@@ -290,9 +290,9 @@ private:
     bool had_pixels = false;
     while (open || position_ < end)
     {
-      if (depth == 0 && had_pixels && end - position_ < 8)
+      if (depth == 0 && had_pixels && end - position_ < 4)
       {
-        return;  // a byte or two that fill up the file
+        return;  // a byte or two that fill up the file: GDCM takes four for a tag
       }
       const Element element = header(is_explicit);
       if (element.tag == kItemEnd && open)
