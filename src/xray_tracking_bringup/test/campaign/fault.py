@@ -10,7 +10,6 @@ NEVER_OPENS = "never open"
 UNSEEN = "cannot be seen"
 
 ITSELF = "by itself"
-RESTART = "the graph is started again"
 
 
 @dataclasses.dataclass
@@ -40,4 +39,4 @@ def fault(words, must, **options):
 
 def ends_graph(fault):
     """Whether another graph has to be started behind it."""
-    return fault.recovery == RESTART or fault.name == "master_dies"
+    return fault.name == "master_dies"

@@ -9,7 +9,7 @@ import numpy as np
 import rospy
 from xray_tracking_msgs.srv import LoadVolume
 
-from fault import CLOSES, RESTART, RIGHT, UNSEEN, fault
+from fault import CLOSES, RIGHT, UNSEEN, fault
 from graph import signal_node
 
 

@@ -4,7 +4,7 @@ import os
 
 from scipy.stats import beta
 
-from fault import RESTART, UNSEEN
+from fault import UNSEEN
 from faults import FAULTS
 
 BEGIN, END = "<!-- table of faults: begin -->", "<!-- table of faults: end -->"
@@ -23,7 +23,7 @@ def largest(results, key, form):
 def lost(results):
     """How many were not well again, as the target had gone too far unseen."""
     fault = FAULTS[results[0]["fault"]]
-    if fault.recovery == RESTART or fault.graph == "started":
+    if fault.graph == "started":
         return ""
     count = sum(result.get("recovered_s") is None and not result["violations"] for result in results)
     return f"; {count} not" if count else ""

@@ -12,7 +12,7 @@ import numpy as np
 import rospy
 
 from exposures import Bank, Setup
-from fault import CLOSES, CLOSES_ONCE, NEVER_OPENS, RESTART, UNSEEN, ends_graph
+from fault import CLOSES, CLOSES_ONCE, NEVER_OPENS, UNSEEN, ends_graph
 from faults import FAULTS
 from graph import NODES, Graph, Master
 from injector import Clock, Injector, RegistrationInTheMiddle, StaticTransforms
@@ -149,15 +149,13 @@ def judge_run(rig, fault, onset, ended, recovered, finished):
         violations.append(f"{result['wrong_open']} poses of up to {result['worst_open_mm']:.2f} mm under an open gate")
     result["gone_too_far"] = bool(
         rig.judge.gone_too_far(onset, finished, rig.setup.initial_pose if fault.begins_anew else None))
-    if recovered is None and fault.recovery != RESTART and rig.graph_kind != "started" and not result["gone_too_far"]:
+    if recovered is None and rig.graph_kind != "started" and not result["gone_too_far"]:
         violations.append(f"not well again within {fault.recovery_s} s; {rig.judge.last_text()}")
     return result, violations
 
 
 def deaths(rig, fault, since):
     """Processes that ended although the fault does not end them, in words; with nodes that do not answer."""
-    if fault.recovery == RESTART:
-        return []
     found = []
     for line in rig.graph.deaths(since):
         node = DEAD_NODE.search(line)
@@ -200,12 +198,8 @@ def run_fault(rig, run, fault, random):
     ended = time.monotonic()
     if end:
         end()
-    if fault.recovery == RESTART:
-        time.sleep(1.0)
-        recovered = None
-    else:
-        recovered = rig.judge.wait_until_well(fault.recovery_s)
-        time.sleep(0.5)
+    recovered = rig.judge.wait_until_well(fault.recovery_s)
+    time.sleep(0.5)
     finished = time.monotonic()
     result, violations = judge_run(rig, fault, onset, ended, recovered, finished)
     violations += deaths(rig, fault, since)

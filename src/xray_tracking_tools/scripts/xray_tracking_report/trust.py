@@ -30,7 +30,7 @@ def answers(folder):
     centre, _ = box_moments(box)
     found = {}
     for method in results.estimating:
-        if not numpy.isfinite(method.covariance).any() and any(method.source[1:]):
+        if not numpy.isfinite(method.covariance).any() and numpy.isfinite(method.tre[1:]).any():
             continue
         nees3, nees6 = normalised_errors(method, results.gold, centre, errors_by_axis(method, results.gold, centre))
         found[method.name] = Answers(method.source[1:], numpy.array([gate == 'NONE' for gate in method.gate[1:]]),
