@@ -6,6 +6,7 @@
 #include <utility>
 
 #include <nlohmann/json.hpp>
+#include <opencv2/core.hpp>
 
 #include "benchmark_registration/random_room.h"
 #include "benchmark_registration/starts.h"
@@ -90,14 +91,7 @@ void misstate(Start start, std::mt19937& random, TreatmentSetup& setup)
     case Start::EXCHANGED:
       exchange(setup.detectors[0], setup.detectors[1]);
       break;
-    case Start::MIRRORED:
-    {
-      DetectorDescription mirrored = setup.detectors[0].description();
-      mirrored.origin += (mirrored.image_size.x() - 1) * mirrored.pixel_pitch.x() * mirrored.x_direction;
-      mirrored.x_direction = -mirrored.x_direction;
-      setup.detectors[0] = ProjectionGeometry::fromDescription(mirrored);
-      break;
-    }
+    case Start::MIRRORED:  // of the images, as no setup file may say so
     case Start::RIGHT:
     case Start::OTHER_CT:
       break;
@@ -152,8 +146,12 @@ void writeRandomSequence(const std::filesystem::path& folder, std::uint32_t seed
   for (int k = 0; k < exposures; ++k)
   {
     const BodyPoses poses = motion.poses(k);
-    files.add(k * interval, poses.room_from_target,
-              scene.images(poses.room_from_target, poses.room_from_rest * posture, k));
+    std::vector<cv::Mat> images = scene.images(poses.room_from_target, poses.room_from_rest * posture, k);
+    if (start == Start::MIRRORED)
+    {
+      cv::flip(images[0], images[0], 1);
+    }
+    files.add(k * interval, poses.room_from_target, images);
   }
   files.close();
   writeJsonFile((folder / "scenario.json").string(),
