@@ -9,7 +9,7 @@ import numpy as np
 import rospy
 from xray_tracking_msgs.srv import LoadVolume
 
-from fault import CLOSES, RIGHT, UNSEEN, fault
+from fault import CLOSES, CLOSES_ONCE, RIGHT, UNSEEN, fault
 from graph import signal_node
 
 
@@ -40,7 +40,7 @@ def tracker_loader_killed(rig, random):
     return killed(rig, "detector_a_hyperplane_tracker")
 
 
-@fault("all trackers' process dies", CLOSES, recovery="respawn", recovery_s=40.0,
+@fault("all trackers' process dies", CLOSES_ONCE, recovery="respawn", recovery_s=40.0,
        dies=("xray_nodelets", "detector_a_hyperplane_tracker", "detector_b_hyperplane_tracker"))
 def trackers_killed(rig, random):
     return killed(rig, "xray_nodelets")
@@ -51,7 +51,7 @@ def trackers_hang(rig, random):
     return stopped(rig, "xray_nodelets")
 
 
-@fault("motion estimation dies", CLOSES, recovery="respawn", recovery_s=40.0, dies=("motion_estimation",))
+@fault("motion estimation dies", CLOSES_ONCE, recovery="respawn", recovery_s=40.0, dies=("motion_estimation",))
 def motion_estimation_killed(rig, random):
     return killed(rig, "motion_estimation")
 
