@@ -32,7 +32,7 @@ struct TrackerParameters
   double train_timeout = 10.0;     ///< for the exposure that training services wait for [s]
   double image_timeout = 2.0;      ///< without an exposure after which diagnostics say so [s]
   bool overlay_points = true;      ///< whether the debug image shows residuals
-  bool keep_for_restart = false;   ///< on disk, the template for a tracker that takes the place of a killed one
+  bool keep_for_restart = false;   ///< on disk, the template for a tracker in the place of this one
 
   /// Sets the tracker's options to these lengths. @param pixel size of the detector's pixels at the target [mm]
   void scaleTo(double pixel);

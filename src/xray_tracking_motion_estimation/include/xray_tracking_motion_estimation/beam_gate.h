@@ -142,7 +142,6 @@ public:
 
   /// What people say; reset() does not end it.
   BeamHold& hold() { return hold_; }
-  const BeamHold& hold() const { return hold_; }
 
   bool open() const { return reason() == GateReason::NONE; }
   GateReason reason() const { return hold_.held() ? GateReason::HELD : reason_; }

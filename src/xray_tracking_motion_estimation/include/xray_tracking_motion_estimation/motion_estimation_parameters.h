@@ -14,10 +14,9 @@ struct MotionEstimationParameters
   std::string setup_file;
   bool bone_shape = false;  ///< the target's shape is that of its bone; otherwise it is not known
   MotionMonitorOptions monitor;
-  int queue_size = 100;       ///< exposures that wait for the rest of their views
-  double view_timeout = 2.0;  ///< [s]
-  bool keep_for_restart =
-      false;  ///< on disk, what a node that takes the place of this one, if it is killed, goes on from
+  int queue_size = 100;           ///< exposures that wait for the rest of their views
+  double view_timeout = 2.0;      ///< [s]
+  bool keep_for_restart = false;  ///< on disk, what a node in the place of this one goes on from
 };
 
 /// Of the node's private namespace; warns of parameters that it does not know.
