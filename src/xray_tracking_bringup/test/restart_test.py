@@ -35,6 +35,12 @@ class RestartTest(GraphTestCase):
         os.kill(self.process_of(node), signal.SIGKILL)
         return len(self.gates)
 
+    def process_in_place_of(self, node, killed):
+        try:
+            return self.process_of(node) != killed
+        except OSError:  # not there yet
+            return False
+
     def test_goes_on(self):
         self.wait_for_graph()
         self.start_simulator()
@@ -53,8 +59,12 @@ class RestartTest(GraphTestCase):
         self.wait_for_open_gate(len(self.gates))
         self.assertEqual(self.references(), references)
 
+        # Twice, the second time as soon as the new one has begun to load trackers.
+        killed = self.process_of("/xray_nodelets")
         seen = self.kill("/xray_nodelets")
         self.wait_for(lambda: len(self.gates) > seen + 50 and not self.gates[-1].open, 10.0, "the gate closes")
+        self.wait_for(lambda: self.process_in_place_of("/xray_nodelets", killed), 10.0, "another manager")
+        self.kill("/xray_nodelets")
         self.wait_for_open_gate(len(self.gates))
         self.assertEqual(self.references(), references, "templates of the process before")
 

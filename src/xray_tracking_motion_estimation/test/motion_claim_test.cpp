@@ -341,7 +341,7 @@ TEST_F(RegionsAfterAClaimTest, StayWhereTheyCoverTheTarget)
 {
   begin({ PoseMethod::TRACKING_AND_REGISTRATION, RefinementMode::ON_DEMAND, false });
   confirm({ 2.0, 0.0, 0.0 });
-  for (int i = 0; i < 5; ++i)
+  for (int i = 0; i < 3; ++i)  // then the registration is due all the same
   {
     const MotionDecision decision = exposeBoth(false);
     EXPECT_EQ(decision.source, PoseSource::TRACKED);

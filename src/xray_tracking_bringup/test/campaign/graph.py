@@ -10,10 +10,8 @@ import xmlrpc.client
 import rosgraph
 
 PACKAGE_LAUNCH = os.path.join(os.path.dirname(os.path.abspath(__file__)), "campaign.launch")
-# What the launch files do with a node that has died. The processes `detector_x_hyperplane_tracker` only load the
-# trackers into the manager and watch over them.
-NODES = ("registration", "motion_estimation", "xray_nodelets", "treatment_room_publisher",
-         "detector_a_hyperplane_tracker", "detector_b_hyperplane_tracker")
+# All are started again by the launch files.
+NODES = ("registration", "motion_estimation", "xray_nodelets", "treatment_room_publisher")
 DIED = re.compile(r"process has (?:died|finished)|REQUIRED process|Segmentation|terminate called")
 
 

@@ -34,16 +34,22 @@ def registration_hangs(rig, random):
     return stopped(rig, "registration")
 
 
-@fault("the process that watches over a tracker dies", RIGHT, seconds=(8.0, 9.0), recovery="respawn",
-       dies=("detector_a_hyperplane_tracker",), recovery_s=30.0)
-def tracker_loader_killed(rig, random):
-    return killed(rig, "detector_a_hyperplane_tracker")
-
-
-@fault("all trackers' process dies", CLOSES_ONCE, recovery="respawn", recovery_s=40.0,
-       dies=("xray_nodelets", "detector_a_hyperplane_tracker", "detector_b_hyperplane_tracker"))
+@fault("all trackers' process dies", CLOSES_ONCE, recovery="respawn", recovery_s=40.0, dies=("xray_nodelets",))
 def trackers_killed(rig, random):
     return killed(rig, "xray_nodelets")
+
+
+@fault("all trackers' process dies, and soon again", CLOSES_ONCE, seconds=(1.0, 5.0), recovery="respawn",
+       recovery_s=40.0, dies=("xray_nodelets",))
+def trackers_killed_twice(rig, random):
+    killed(rig, "xray_nodelets")
+
+    def end():
+        again = None
+        while again in (None, rig.pids["xray_nodelets"]):  # roslaunch starts it after a second
+            again = rig.graph.pid("xray_nodelets")
+        signal_node(again, signal.SIGKILL)
+    return end, "SIGKILL"
 
 
 @fault("all trackers' process hangs", CLOSES)
