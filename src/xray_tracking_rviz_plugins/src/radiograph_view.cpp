@@ -223,7 +223,7 @@ void RadiographView::paintEvent(QPaintEvent*)
       {
         path.lineTo(toQt(mapping.toWidget(point)));
       }
-      painter.setPen(QPen(look::kAccent, 1.2));
+      painter.setPen(QPen(look::kAccent, 1.0));  // wider ones take long, see StripChart
       painter.drawPath(path);
     }
     painter.setPen(Qt::NoPen);

@@ -42,13 +42,19 @@ public:
     const bool result = QApplication::notify(receiver, event);
     if (who != nullptr)
     {
-      if (const double time = processorTime() - start; time > longest)
+      const double time = processorTime() - start;
+      const double wall = std::chrono::duration<double>(std::chrono::steady_clock::now() - wall_start).count();
+      const auto whose = [&] { return std::string(who) + ", its " + within + ", event " + std::to_string(what); };
+      if (time > longest)
       {
         longest = time;
-        longest_of = std::string(who) + ", its " + within + ", event " + std::to_string(what);
+        longest_of = whose();
       }
-      longest_wall =
-          std::max(longest_wall, std::chrono::duration<double>(std::chrono::steady_clock::now() - wall_start).count());
+      if (wall > longest_wall)
+      {
+        longest_wall = wall;
+        longest_wall_of = whose() + ", of which " + std::to_string(1e3 * time) + " ms of processor";
+      }
       ++events;
     }
     return result;
@@ -65,6 +71,7 @@ public:
   static inline double longest = 0.0;       ///< processor time of one event [s]
   static inline std::string longest_of;     ///< whose it was: class of ours, the receiver's within, the event's type
   static inline double longest_wall = 0.0;  ///< [s]
+  static inline std::string longest_wall_of;
   static inline int events = 0;
 };
 
