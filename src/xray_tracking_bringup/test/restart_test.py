@@ -5,6 +5,7 @@ import os
 import signal
 import sys
 import time
+import urllib.parse
 
 import rospkg
 import rospy
@@ -74,7 +75,9 @@ class RestartTest(GraphTestCase):
         # Once more, and what it has kept is gone.
         seen = self.kill("/motion_estimation")
         folder = os.environ.get("ROS_HOME") or os.path.expanduser("~/.ros")
-        os.remove(os.path.join(folder, "xray_tracking", "restart", "motion_estimation"))
+        master = urllib.parse.urlparse(os.environ["ROS_MASTER_URI"])
+        os.remove(os.path.join(folder, "xray_tracking", "restart", f"{master.hostname}-{master.port}",
+                               "motion_estimation"))
         time.sleep(0.5)
         answered, posed = len(self.motions), len(self.poses)
         self.wait_for(lambda: len(self.motions) >= answered + 10, 60.0, "answers of the new process")

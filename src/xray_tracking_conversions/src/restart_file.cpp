@@ -16,6 +16,7 @@
 #include <stdexcept>
 #include <utility>
 
+#include <ros/master.h>
 #include <boost/crc.hpp>
 
 namespace xray_tracking
@@ -38,7 +39,7 @@ std::string checksum(const std::string& head, const std::string& bytes)
   return std::to_string(crc.checksum());
 }
 
-/// Empty without ROS_HOME and HOME.
+/// Empty without ROS_HOME and HOME. Of two graphs at one time each has its master.
 std::string pathOf(const ros::NodeHandle& pnh)
 {
   const auto variable = [](const char* name)
@@ -53,7 +54,8 @@ std::string pathOf(const ros::NodeHandle& pnh)
   }
   std::string name = pnh.getNamespace().substr(1);
   std::replace(name.begin(), name.end(), '/', '-');
-  return folder.empty() ? folder : folder + "/xray_tracking/restart/" + name;
+  const std::string master = ros::master::getHost() + '-' + std::to_string(ros::master::getPort());
+  return folder.empty() ? folder : folder + "/xray_tracking/restart/" + master + '/' + name;
 }
 
 std::string errorText(const std::string& path, const std::string& what)
@@ -72,6 +74,7 @@ RestartFile::RestartFile(const ros::NodeHandle& pnh, const std::string& content)
     token_ = std::to_string(random()) + "-" + std::to_string(random()) + "-" + std::to_string(random());
     pnh.setParam(kToken, token_);
     remove();
+    removeOld(fs::path(path_).parent_path().parent_path().string());
   }
 }
 
@@ -184,5 +187,18 @@ void RestartFile::replace(const std::string& bytes) const
 void RestartFile::remove() const
 {
   ::unlink(path_.c_str());
+}
+
+void RestartFile::removeOld(const std::string& folder)
+{
+  const auto oldest = fs::file_time_type::clock::now() - kLife;
+  std::error_code error;
+  for (fs::recursive_directory_iterator entry(folder, error), end; entry != end; entry.increment(error))
+  {
+    if (entry->is_regular_file(error) && entry->last_write_time(error) < oldest && !error)
+    {
+      fs::remove(entry->path(), error);
+    }
+  }
 }
 }  // namespace xray_tracking

@@ -140,5 +140,24 @@ TEST_F(RestartFileTest, AFailedWriteLeavesNothingOfBefore)
   file->write("held");
   EXPECT_EQ(file->read(), "held");
 }
+
+/// Of launches that nothing has ended in order, and whose master has not been there again.
+TEST_F(RestartFileTest, WhatIsOldGoes)
+{
+  file->write("new");
+  const fs::path old = folder_ / "master" / "node";
+  fs::create_directories(old.parent_path());
+  std::ofstream(old) << "somebody's image";
+  const auto now = fs::file_time_type::clock::now();
+  fs::last_write_time(old, now - RestartFile::kLife + std::chrono::minutes(1));
+  RestartFile::removeOld(folder_.string());
+  EXPECT_TRUE(fs::exists(old));
+  fs::last_write_time(old, now - RestartFile::kLife - std::chrono::minutes(1));
+  RestartFile::removeOld(folder_.string());
+  EXPECT_FALSE(fs::exists(old));
+  EXPECT_EQ(file->read(), "new");
+  RestartFile::removeOld((folder_ / "nowhere").string());
+  RestartFile::removeOld("");
+}
 }  // namespace
 }  // namespace xray_tracking

@@ -536,13 +536,13 @@ TEST_F(VerifiedByRegistrationTest, ClosesOnceNothingHasConfirmedItForLong)
   confirm();
   const std::int64_t confirmed = stamp;
   openAfter(options.good_exposures - 1);
-  while (stamp - confirmed <= 950 * kMillisecond)
+  while (stamp - confirmed <= 450 * kMillisecond)
   {
     gate.update(good());
     gate.refused("flat optimum", false);
     EXPECT_TRUE(gate.open()) << gate.text();
   }
-  while (stamp - confirmed <= 1000 * kMillisecond)
+  while (stamp - confirmed <= 500 * kMillisecond)
   {
     EXPECT_TRUE(gate.open());
     gate.update(good());

@@ -39,7 +39,8 @@ class Rig:
         self.setup = Setup(spec["setup"])
         self.arguments = {"setup_file": self.setup.path, "source": self.setup.source, "sim_time": str(sim_time).lower(),
                           "interposed": str(self.graph_kind == "interposed").lower(),
-                          "max_displacement": spec["max_displacement"]}
+                          "max_displacement": spec["max_displacement"],
+                          "data_folder": os.path.dirname(spec["other_ct"])}
         if self.graph_kind == "record":
             self.arguments["record"] = os.path.join(self.folder, "recorded.bag")
         self.other_ct = spec["other_ct"]

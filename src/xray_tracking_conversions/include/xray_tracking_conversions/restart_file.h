@@ -1,5 +1,6 @@
 #pragma once
 
+#include <chrono>
 #include <string>
 
 #include <ros/node_handle.h>
@@ -7,7 +8,7 @@
 namespace xray_tracking
 {
 /// What a node keeps on disk for the one that takes its place when it has died: one file,
-/// $ROS_HOME/xray_tracking/restart/<node> (by default in ~/.ros), for its user's eyes alone.
+/// $ROS_HOME/xray_tracking/restart/<master's host and port>/<node> (by default in ~/.ros), for its user's eyes alone.
 ///
 /// That a node takes the place of another, and is not the first of a launch, is known by a token, a private parameter
 /// that the first one sets (clear_params in the launch file ends it with the launch). A file without it is another
@@ -16,7 +17,8 @@ namespace xray_tracking
 class RestartFile
 {
 public:
-  /// Sets the token if there is none, and removes what another launch has left.
+  /// Sets the token if there is none, and removes what another launch has left: of this node and master, and of all of
+  /// them what is older than kLife.
   /// @param pnh of the node's private namespace
   /// @param content what is kept and the version of its form, e.g. "motion 1"
   RestartFile(const ros::NodeHandle& pnh, const std::string& content);
@@ -36,9 +38,13 @@ public:
   /// Nothing happens if there is none.
   void remove() const;
 
+  /// Removes files below a folder that are older than kLife. A folder that is none has none.
+  static void removeOld(const std::string& folder);
+
   const std::string& path() const { return path_; }
 
   static constexpr const char* kToken = "restart_token";  ///< the parameter's name
+  static constexpr std::chrono::hours kLife{ 24 };        ///< no treatment is longer
 
 private:
   void replace(const std::string& bytes) const;
