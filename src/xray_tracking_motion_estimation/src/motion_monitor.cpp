@@ -414,6 +414,11 @@ void MotionMonitor::tellGate(const MotionDecision& decision, std::int64_t now)
     exposure.covariance = decision.displacement_covariance;
     exposure.rotation = rules_.rotation(decision.room_from_patient);
     exposure.rotation_variance = largestEigenvalue(decision.pose_covariance.bottomRightCorner<3, 3>());
+    if (exposure.registered && current_->tracks.state == MotionState::INCONSISTENT)
+    {
+      // Either tracks are wrong or views are of different moments, which a registration need not show.
+      exposure.doubt = "registered, but the tracks contradict each other: " + current_->tracks.reason;
+    }
     for (std::size_t i = 0; !exposure.registered && i < options_.tracks.views.size(); ++i)
     {
       if (tracks_.doubt(i).state == MotionState::OK && current_->exposure.views[i]->state == RegionState::DEGRADED)

@@ -221,6 +221,30 @@ TEST_F(MonitorTest, AContradictionEndsPosesUntilThreeRegistrationsAgree)
   expectPose(registered({ 0.5, 0.0, 0.0 }, { 7.0, 0.0, 0.0 }), PoseSource::REGISTERED, { 7.5, 0.0, 0.0 }, kExact);
 }
 
+/// As where one view is of an earlier moment than the other: a registration may be believed all the same.
+TEST_F(MonitorTest, TracksThatContradictEachOtherCloseTheGateOnARegisteredPose)
+{
+  start();
+  for (int i = 0; i < 6; ++i)
+  {
+    registered({ 0.0, 0.0, 0.0 });
+  }
+  ASSERT_TRUE(monitor->gate().open());
+  const auto late = [](std::vector<std::optional<TrackedView>>& views)
+  { views[1]->track.displacement += Eigen::Vector2d(10.0, 10.0); };
+  expectPose(registered({ 0.5, 0.0, 0.0 }, Eigen::Vector3d::Zero(), late), PoseSource::REGISTERED, { 0.5, 0.0, 0.0 },
+             kExact);
+  EXPECT_EQ(monitor->gate().reason(), GateReason::UNCERTAIN);
+  EXPECT_NE(monitor->gate().text().find("tracks contradict each other"), std::string::npos) << monitor->gate().text();
+  // From there on tracks are counted anew.
+  for (int i = 0; i < 5; ++i)
+  {
+    EXPECT_FALSE(monitor->gate().open()) << i;
+    registered({ 0.5, 0.0, 0.0 }, Eigen::Vector3d::Zero(), late);
+  }
+  EXPECT_TRUE(monitor->gate().open()) << monitor->gate().text();
+}
+
 TEST_F(MonitorTest, AContradictionStaysOneWhileNothingResolvesIt)
 {
   start();
