@@ -375,16 +375,15 @@ std::string RefinementPolicy::leap(const RefinementReply& reply, const Refinemen
     return std::string();
   }
   const RigidTransform& before = last_accepted_->refined;
-  const double way = targetMotion(before, reply.room_from_patient, target_centre_).tail<3>().norm();
   const double off = targetMotion(exposure.room_from_patient, reply.room_from_patient, target_centre_).tail<3>().norm();
   const double since = 1e-9 * static_cast<double>(exposure.stamp - last_accepted_->stamp);
   const double spread =
       kSigmas * worstSigma(before, last_accepted_->covariance, reply.room_from_patient, reply.covariance);
   const double bound = kSlipSpeed * since + spread + kRegistrationSpread;
-  return std::min(way, off) <= bound
+  return off <= bound
              ? std::string()
-             : compose("the refinement leaps: the target is ", way, " mm from the one ", since, " s before, and ", off,
-                       " mm from where the tracks have it, expected at most ", bound, " mm of one of them");
+             : compose("the refinement leaps: the target is ", off, " mm from where the tracks have gone since ",
+                       "the one ", since, " s before, expected at most ", bound, " mm");
 }
 
 double RefinementPolicy::worstSigma(const RigidTransform& one, const PoseCovariance& its_covariance,

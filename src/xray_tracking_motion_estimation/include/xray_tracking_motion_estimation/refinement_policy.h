@@ -208,9 +208,9 @@ private:
   std::string excess(const RefinementReply& reply, const RefinementSeed& exposure, double factor) const;
   /// How it contradicts the tracked pose within the bounds; empty if it does not.
   std::string contradiction(const RefinementReply& reply, const RefinementSeed& exposure) const;
-  /// How it is farther from the accepted one before than tissue and the two registrations' spread account for in the
-  /// time between, and as far from the tracked pose, which counts from there: the tracks have not seen such a motion.
-  /// Empty if it is not.
+  /// How it is farther from the tracked pose, which counts from the accepted one before, than tissue and the two
+  /// registrations' spread account for in the time between: the tracks have not seen such a motion, or have alone. Empty
+  /// if it is not.
   std::string leap(const RefinementReply& reply, const RefinementSeed& exposure) const;
   /// Standard deviation of the target's way from one pose to the other in its worst direction [mm].
   double worstSigma(const RigidTransform& one, const PoseCovariance& its_covariance, const RigidTransform& other,
