@@ -9,6 +9,7 @@ import os
 import shutil
 import struct
 import tempfile
+import xmlrpc.client
 import zlib
 
 import numpy
@@ -45,6 +46,17 @@ SEQUENCES = {
                 'intensity: {kind: attenuation}\npairing_tolerance: 0.01\nct_content: bone_in_air\n' + DISTORTED + POSE + BOX,
     'bad_target_is_missing': 'ct: ct\nct_series: 1.2.3\nct_nifti_form: sform\nframes: frames.csv\n'
               'target: {rtstruct: structures.dcm, roi: C4}\ndetectors: detectors.yaml\n' + POSE,
+}
+PARAMETERS = {
+    'tracker': '{model: affine, points: 200, resolution: 0.5, ranges: [8, 4.0, 2], whole_region: true, '
+               'region: {x_offset: 1, y_offset: 1, width: 4, height: 3}}',
+    'motion': '{setup_file: setup.yaml, detectors: [detector_a, detector_b], method: tracking_and_registration, '
+              'gate: {max_age: 0.5, max_unverified_exposures: 40}, refinement: {mode: on_demand, every_n: 5}, '
+              'consistency: {window: 10}, prediction: {latency: 0.1}, pose: {deadline: 0.2}}',
+    'registration': '{setup_file: setup.yaml, source: ct, bodies: 1, mask: {from: bone, threshold_hu: 200}, '
+                    'max_translation: 0.02, search: {max_rotation: 0.5}, time_budget: 2}',
+    'simulator': '{setup_file: setup.yaml, source: phantom, rate: 15, seed: 3, image: {bits: 12, gain_drift: 0.02}, '
+                 'motion: {type: breathing, amplitude_mm: [0, 2, 5.0], period: 4}}',
 }
 FRAMES = 'stamp_s,detector,file\n0.0,detector_a,a_0.png\n0.001,detector_b,b_0.png\n' \
          '1699999999.25,detector_a,a_1.png\n1699999999.25,detector_b,b_1.png\n'
@@ -232,6 +244,14 @@ def write_messages(corpus):
         'versions': {'xray_tracking_tools': '1.0'}, 'parameters': {'/motion_estimation': {'rate': 15}}}))
 
 
+def write_parameters(corpus):
+    """As the parameter server sends them."""
+    for node, text in PARAMETERS.items():
+        answer = xmlrpc.client.dumps((EXPORTS.yaml.safe_load(text),))
+        value = answer[answer.index('<value>'):answer.rindex('</value>') + len('</value>')]
+        corpus.write(f'{node}_parameters', 'some', value)
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('folder', nargs='?', default=os.path.join(HERE, 'corpus'))
@@ -245,6 +265,7 @@ def main():
     write_volumes(corpus)
     write_plans(corpus)
     write_messages(corpus)
+    write_parameters(corpus)
 
 
 if __name__ == '__main__':

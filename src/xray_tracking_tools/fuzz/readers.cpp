@@ -11,6 +11,8 @@
 #include <stdexcept>
 #include <typeinfo>
 
+#include <XmlRpcException.h>
+#include <XmlRpcValue.h>
 #include <sensor_msgs/CameraInfo.h>
 #include <sensor_msgs/CompressedImage.h>
 #include <sensor_msgs/Image.h>
@@ -25,9 +27,13 @@
 #include "xray_tracking_core/plan/treatment_plan.h"
 #include "xray_tracking_core/sequence/sequence.h"
 #include "xray_tracking_core/volume/ct_volume.h"
+#include "xray_tracking_detector_simulator/simulator_parameters.h"
+#include "xray_tracking_hyperplane_tracker/tracker_parameters.h"
+#include "xray_tracking_motion_estimation/motion_estimation_parameters.h"
 #include "xray_tracking_motion_estimation/motion_estimator.h"
 #include "xray_tracking_motion_estimation/region_patch.h"
 #include "xray_tracking_registration/refinement_messages.h"
+#include "xray_tracking_registration/registration_parameters.h"
 #include "xray_tracking_tools/recording.h"
 
 namespace xray_tracking
@@ -443,6 +449,46 @@ void readRefinementRequest(const std::string& bytes)
   applyRequest(message, setup(), request);
   require(isRigid(request.room_from_patient), "its seed is not rigid");
 }
+
+/// A node's parameters, as the parameter server sends them.
+ParameterReader parametersOf(const std::string& bytes)
+{
+  expected_name = "";  // any of them
+  int at = 0;
+  XmlRpc::XmlRpcValue values;
+  try
+  {
+    values.fromXml(bytes, &at);
+  }
+  catch (const XmlRpc::XmlRpcException& error)
+  {
+    throw std::runtime_error(error.getMessage());  // roscpp's own to handle
+  }
+  return { "/node", values };
+}
+
+void readTracker(const std::string& bytes)
+{
+  TrackerParameters parameters = readTrackerParameters(parametersOf(bytes), "detector_a");
+  parameters.adopt(setup());
+  HyperplaneTracker{ parameters.tracker };
+}
+
+void readMotionEstimation(const std::string& bytes)
+{
+  const MotionEstimationParameters parameters = readMotionEstimationParameters(parametersOf(bytes));
+  MotionMonitor{ parameters.monitor, setup().room_from_patient, setup().target_box };
+}
+
+void readRegistration(const std::string& bytes)
+{
+  readRegistrationParameters(parametersOf(bytes));
+}
+
+void readSimulator(const std::string& bytes)
+{
+  readParameters(parametersOf(bytes));
+}
 }  // namespace
 
 const std::vector<Reader>& readers()
@@ -470,7 +516,11 @@ const std::vector<Reader>& readers()
                                         { "compressed_image", readCompressedImage },
                                         { "camera_info", readCameraInfo },
                                         { "tracked_region", readTrackedRegion },
-                                        { "refinement_request", readRefinementRequest } };
+                                        { "refinement_request", readRefinementRequest },
+                                        { "tracker_parameters", readTracker },
+                                        { "motion_parameters", readMotionEstimation },
+                                        { "registration_parameters", readRegistration },
+                                        { "simulator_parameters", readSimulator } };
   return all;
 }
 
