@@ -29,10 +29,12 @@ constexpr std::uintmax_t kMostDeflated = 1032;
 /// @param data file with the voxels, which begin at `start` there; `least` bytes of it [bytes]
 void requireBytes(const std::string& path, const fs::path& data, std::uintmax_t start, std::uintmax_t least)
 {
-  if (fs::file_size(data) < start + least)
+  const std::uintmax_t size = fs::file_size(data);
+  const std::uintmax_t held = size - std::min(size, start);
+  if (held < least)
   {
-    failCt(path, "truncated: " + data.string() + " has " + std::to_string(fs::file_size(data)) + " bytes, expected " +
-                     std::to_string(start + least));
+    failCt(path, "truncated: " + data.string() + " has " + std::to_string(held) + " bytes of voxels, expected " +
+                     std::to_string(least));
   }
 }
 
@@ -50,7 +52,12 @@ void requireAllOfMetaImage(const itk::ImageIOBase& format, const std::string& pa
   {
     const std::uintmax_t least = expected / kMostDeflated;
     expected = 0;  // some files do not say
-    std::istringstream(header.fields["CompressedDataSize"]) >> expected;
+    const std::string stated = header.fields["CompressedDataSize"];
+    if (stated.find_first_not_of("0123456789") != std::string::npos)
+    {
+      failCt(path, "CompressedDataSize is " + stated.substr(0, 80) + ", expected a number of bytes");
+    }
+    std::istringstream(stated) >> expected;
     expected = std::max(expected, least);
   }
   requireBytes(path, data_file, data == "LOCAL" ? static_cast<std::uintmax_t>(header.end) : 0, expected);
