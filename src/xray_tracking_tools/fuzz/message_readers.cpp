@@ -308,13 +308,14 @@ void readRecording(const std::string& bytes)
     }
   }
   bag.close();
+  const Recording recording(path);
   for (const Finding& finding : checkBag(path, ""))
   {
     require(finding.code != "recording_unreadable", "its check gave up");
   }
   const std::string extracted = folder() + "/extracted";
   std::filesystem::remove_all(extracted);
-  writeSequenceFolder(Recording(path), "", extracted);
+  writeSequenceFolder(recording, "", extracted);
   loadSequence(extracted);  // refuses nothing of it
 }
 
