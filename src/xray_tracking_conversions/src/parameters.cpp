@@ -74,7 +74,7 @@ std::string convert(const XmlRpcValue& found, std::vector<Element>& value)
     const std::string expected = convert(is_list ? found[static_cast<int>(i)] : XmlRpcValue(), value[i]);
     if (!expected.empty())
     {
-      return "a list, each " + expected;
+      return "a list of " + expected.substr(2) + "s";  // "a text"
     }
   }
   return "";

@@ -94,10 +94,10 @@ TEST(Parameters, ofAnotherTypeAreRefused)
   expectRefused("<value><boolean>1</boolean></value>", 0.0, "a number");
   expectRefused(text, 0.0, "a number");
   expectRefused(whole, std::string(), "a text");
-  expectRefused(whole, std::vector<double>(), "a list, each a number");
-  expectRefused(list(whole + text), std::vector<double>(), "a list, each a number");
-  expectRefused(list(text + whole), std::vector<std::string>(), "a list, each a text");
-  expectRefused(list(list(text)), std::vector<std::string>(), "a list, each a text");
+  expectRefused(whole, std::vector<double>(), "a list of numbers");
+  expectRefused(list(whole + text), std::vector<double>(), "a list of numbers");
+  expectRefused(list(text + whole), std::vector<std::string>(), "a list of texts");
+  expectRefused(list(list(text)), std::vector<std::string>(), "a list of texts");
 }
 }  // namespace
 }  // namespace xray_tracking
