@@ -9,6 +9,7 @@ import os
 import shutil
 import struct
 import tempfile
+import xmlrpc.client
 import zlib
 
 import numpy
@@ -45,6 +46,17 @@ SEQUENCES = {
                 'intensity: {kind: attenuation}\npairing_tolerance: 0.01\nct_content: bone_in_air\n' + DISTORTED + POSE + BOX,
     'bad_target_is_missing': 'ct: ct\nct_series: 1.2.3\nct_nifti_form: sform\nframes: frames.csv\n'
               'target: {rtstruct: structures.dcm, roi: C4}\ndetectors: detectors.yaml\n' + POSE,
+}
+PARAMETERS = {
+    'tracker': '{model: affine, points: 200, resolution: 0.5, ranges: [8, 4.0, 2], whole_region: true, '
+               'region: {x_offset: 1, y_offset: 1, width: 4, height: 3}}',
+    'motion': '{setup_file: setup.yaml, detectors: [detector_a, detector_b], method: tracking_and_registration, '
+              'gate: {max_age: 2, max_unverified_exposures: 40}, refinement: {mode: on_demand, every_n: 5}, '
+              'consistency: {window: 10}, prediction: {latency: 0.1}, pose: {deadline: 0.2}}',
+    'registration': '{setup_file: setup.yaml, source: ct, bodies: 1, mask: {from: bone, threshold_hu: 200}, '
+                    'max_translation: 0.02, search: {max_rotation: 0.5}, time_budget: 2}',
+    'simulator': '{setup_file: setup.yaml, source: phantom, rate: 15, seed: 3, image: {bits: 14, gain_drift: 0.02}, '
+                 'motion: {type: breathing, amplitude_mm: [0, 2, 5.0], period: 4}}',
 }
 FRAMES = 'stamp_s,detector,file\n0.0,detector_a,a_0.png\n0.001,detector_b,b_0.png\n' \
          '1699999999.25,detector_a,a_1.png\n1699999999.25,detector_b,b_1.png\n'
@@ -210,17 +222,23 @@ def text(words):
     return bytes([len(words)]) + words.encode()
 
 
+def data(content):
+    """As they take an image's: its length in two bytes, and its bytes."""
+    return struct.pack('<H', len(content)) + content
+
+
 def write_messages(corpus):
-    image = struct.pack('<IIBI', 3, 4, 1, 8) + text('mono16') + bytes(range(24))
-    corpus.write('image', 'mono16', image)
-    corpus.write('image', 'mono8', struct.pack('<IIBI', 3, 4, 0, 5) + text('mono8') + bytes(range(15)))
+    corpus.write('image', 'mono16', struct.pack('<IIBI', 3, 4, 1, 8) + text('mono16') + data(bytes(range(24))))
+    corpus.write('image', 'mono8', struct.pack('<IIBI', 3, 4, 0, 5) + text('mono8') + data(bytes(range(15))))
     with open(corpus.path('png', 'mono16.png'), 'rb') as file:
-        corpus.write('compressed_image', 'png', text('16UC1; png compressed') + file.read())
+        compressed = text('16UC1; png compressed') + data(file.read())
+    corpus.write('compressed_image', 'png', compressed)
     k, _, _ = views()[0].camera()
     info = struct.pack('<II', 6, 8) + k.astype('<f8').tobytes() + numpy.eye(3).tobytes() \
         + numpy.column_stack((k, numpy.zeros(3))).astype('<f8').tobytes() + struct.pack('<6I', 0, 0, 0, 0, 0, 0) \
-        + text('plumb_bob') + bytes(40)
+        + text('plumb_bob') + bytes([5]) + bytes(40)
     corpus.write('camera_info', 'plain', info)
+    write_recording(corpus, compressed, info)
     region = struct.pack('<4I', 1, 1, 4, 3)
     covariance = numpy.diag([0.01, 0.01, 1e-6, 1e-6, 1e-6, 1e-6])
     corpus.write('tracked_region', 'found', struct.pack('<BBII', 2, 3, 10, 0) + region + struct.pack('<2d', 0.5, -0.25)
@@ -230,6 +248,28 @@ def write_messages(corpus):
     corpus.write('run_description', 'plain', json.dumps({
         'setup': DETECTORS + POSE + BOX, 'epoch_ns': 1699999999250000000, 'gold_standard': POSES,
         'versions': {'xray_tracking_tools': '1.0'}, 'parameters': {'/motion_estimation': {'rate': 15}}}))
+
+
+def write_parameters(corpus):
+    """As the parameter server sends them."""
+    for node, text in PARAMETERS.items():
+        answer = xmlrpc.client.dumps((EXPORTS.yaml.safe_load(text),))
+        value = answer[answer.index('<value>'):answer.rindex('</value>') + len('</value>')]
+        corpus.write(f'{node}_parameters', 'some', value)
+
+
+def write_recording(corpus, compressed, info):
+    """Two exposures as readRecording() puts them into a bag: the sequence's beginning; then each message's kind, stamp,
+    time of recording and content."""
+    image = struct.pack('<IIBI', 6, 8, 0, 16) + text('mono16') + data(bytes(range(1, 97)))
+    pose = struct.pack('<7d', 0.0015, -0.002, 0.003, 0, 0, 0, 1)
+
+    def message(kind, second, content):
+        return struct.pack('<B4I', kind, 1700000000 + second, 0, 1700000000 + second, 1000) + content
+
+    corpus.write('recording', 'two_exposures', struct.pack('<q', 1700000000 * 10 ** 9) + b''.join(
+        message(4, n, info) + message(6, n, pose) + message(0, n, image) + message(3 if n else 1, n, compressed if n else image)
+        + message(8 + n, n, text('xray_room') + text('detector_a') + pose) for n in range(2)))
 
 
 def main():
@@ -245,6 +285,7 @@ def main():
     write_volumes(corpus)
     write_plans(corpus)
     write_messages(corpus)
+    write_parameters(corpus)
 
 
 if __name__ == '__main__':

@@ -16,6 +16,7 @@
 #include <opencv2/core/version.hpp>
 
 #include "xray_tracking_conversions/conversions.h"
+#include "xray_tracking_core/option_check.h"
 
 namespace xray_tracking
 {
@@ -90,7 +91,11 @@ RunDescription runDescriptionFromText(const std::string& text)
     const nlohmann::json json = nlohmann::json::parse(text);
     RunDescription description;
     description.setup = json.at("setup").get<std::string>();
-    description.epoch_ns = json.value("epoch_ns", std::int64_t{ 0 });
+    const nlohmann::json epoch = json.value("epoch_ns", nlohmann::json(0));
+    // Within what a stamp can be: differences of two do not overflow.
+    requireOption(epoch.is_number_integer() && epoch.get<double>() >= 0.0 && epoch.get<double>() < 0x1p32 * 1e9,
+                  std::string(kRunDescriptionTopic) + ": epoch_ns", epoch, "a whole number, 0 to 2^32 s");
+    description.epoch_ns = epoch.get<std::int64_t>();
     description.gold_standard = json.value("gold_standard", std::string());
     description.versions = json.value("versions", std::map<std::string, std::string>());
     description.parameters = json.contains("parameters") ? json["parameters"].dump() : "";

@@ -100,24 +100,25 @@ void addRequiredSubscribers(XmlRpc::XmlRpcValue& value, const std::string& key, 
 
 RunSupervisorRos::RunSupervisorRos(ros::NodeHandle nh, ros::NodeHandle pnh)
 {
-  const int exposures = readParameter(pnh, "exposures", 0);
+  ParameterReader reader(pnh);
+  const int exposures = reader.read("exposures", 0);
   if (exposures < 1)
   {
     throw std::invalid_argument("~exposures is " + std::to_string(exposures) + ", expected 1 or more");
   }
   exposures_ = exposures;
-  stall_timeout_s_ = readParameter(pnh, "stall_timeout", 30.0);
+  stall_timeout_s_ = reader.read("stall_timeout", 30.0);
   if (!(stall_timeout_s_ > 0.0))
   {
     throw std::invalid_argument("~stall_timeout is " + std::to_string(stall_timeout_s_) + ", expected more than 0 s");
   }
-  const std::string start_mode = readParameter<std::string>(pnh, "start_mode", "simulator");
+  const std::string start_mode = reader.read<std::string>("start_mode", "simulator");
   if (start_mode != "simulator" && start_mode != "playback")
   {
     throw std::invalid_argument("~start_mode is '" + start_mode + "', expected simulator or playback");
   }
   playback_ = start_mode == "playback";
-  start_service_ = nh.resolveName(readParameter<std::string>(pnh, "start_service", "start"));
+  start_service_ = nh.resolveName(reader.read<std::string>("start_service", "start"));
 
   XmlRpc::XmlRpcValue required;
   if (pnh.getParam("required_subscribers", required))
@@ -126,7 +127,7 @@ RunSupervisorRos::RunSupervisorRos(ros::NodeHandle nh, ros::NodeHandle pnh)
   }
   XmlRpc::XmlRpcValue required_of_detectors;
   const bool detectors_require = pnh.getParam("required_detector_subscribers", required_of_detectors);
-  const auto names = readParameter<std::vector<std::string>>(pnh, "detectors", { "detector_a", "detector_b" });
+  const auto names = reader.read<std::vector<std::string>>("detectors", { "detector_a", "detector_b" });
   if (names.empty())
   {
     throw std::invalid_argument("~detectors is empty, expected the detectors' names");

@@ -61,12 +61,13 @@ TreatmentRoomPublisherRos::TreatmentRoomPublisherRos(ros::NodeHandle nh, ros::No
 
 void TreatmentRoomPublisherRos::start(const ros::NodeHandle& pnh)
 {
-  const std::string setup_file = readParameter(pnh, "setup_file", std::string());
+  ParameterReader reader(pnh);
+  const std::string setup_file = reader.read("setup_file", std::string());
   if (setup_file.empty())
   {
     throw std::invalid_argument("~setup_file is empty, expected the path of a setup file");
   }
-  const int trail_length = readParameter(pnh, "trail_length", 1000);
+  const int trail_length = reader.read("trail_length", 1000);
   if (trail_length < 2)
   {
     throw std::invalid_argument("~trail_length is " + std::to_string(trail_length) + ", expected 2 or more");

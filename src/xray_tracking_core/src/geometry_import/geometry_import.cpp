@@ -186,6 +186,28 @@ double sourceToDetectorOf(const ImportedView& view, const Camera& camera, const 
       "do that puts the panel beyond the patient: projections are the same");
 }
 
+/// @throws std::runtime_error naming the file if no detector is like that
+ProjectionGeometry detectorOf(const ImportedView& view, const Camera& camera, double sdd)
+{
+  RigidTransform room_from_optical = RigidTransform::Identity();
+  room_from_optical.linear() = camera.axes.transpose();
+  room_from_optical.translation() = camera.source;
+  try
+  {
+    ProjectionGeometry detector = ProjectionGeometry::fromIntrinsics(view.name, view.image_size, camera.focal_length,
+                                                                     camera.foot, room_from_optical, sdd);
+    if (!view.distortion.model.empty())
+    {
+      LensDistortion(view.distortion.model, view.distortion.values, detector);  // refuses what is of no use
+    }
+    return detector;
+  }
+  catch (const std::invalid_argument& error)
+  {
+    fail(view.where, error.what());
+  }
+}
+
 /// What a view's panel is, in words.
 std::string remarkOf(const ImportedView& view, const ProjectionGeometry& detector, const Camera& camera,
                      const std::optional<Eigen::Vector3d>& point)
@@ -358,11 +380,7 @@ ImportedGeometry importGeometry(const std::vector<std::string>& files, const Geo
     const ImportedView& view = views[n];
     const Camera& camera = cameras[n];
     const double sdd = sourceToDetectorOf(view, camera, options);
-    RigidTransform room_from_optical = RigidTransform::Identity();
-    room_from_optical.linear() = camera.axes.transpose();
-    room_from_optical.translation() = camera.source;
-    imported.detectors.push_back(ProjectionGeometry::fromIntrinsics(view.name, view.image_size, camera.focal_length,
-                                                                    camera.foot, room_from_optical, sdd));
+    imported.detectors.push_back(detectorOf(view, camera, sdd));
     const ProjectionGeometry& detector = imported.detectors.back();
     const std::string doubt = point ? implausibility(detector, *point) : implausibility(detector);
     // --unit mm says that distances are right, but not that the panel stands before the patient.
@@ -374,10 +392,6 @@ ImportedGeometry importGeometry(const std::vector<std::string>& files, const Geo
       fail(view.where, doubt + (advise ? " Give --unit m or cm; if distances are right, --unit mm" : ""));
     }
     imported.distortions.push_back(view.distortion);
-    if (!view.distortion.model.empty())
-    {
-      LensDistortion(view.distortion.model, view.distortion.values, detector);  // refuses what is of no use
-    }
     imported.remarks.push_back(remarkOf(view, detector, camera, point));
   }
   imported.point = point;

@@ -4,6 +4,7 @@
 #include <cctype>
 #include <cstdint>
 #include <filesystem>
+#include <fstream>
 #include <initializer_list>
 #include <locale>
 #include <optional>
@@ -29,10 +30,12 @@ constexpr std::uintmax_t kMostDeflated = 1032;
 /// @param data file with the voxels, which begin at `start` there; `least` bytes of it [bytes]
 void requireBytes(const std::string& path, const fs::path& data, std::uintmax_t start, std::uintmax_t least)
 {
-  if (fs::file_size(data) < start + least)
+  const std::uintmax_t size = fs::file_size(data);
+  const std::uintmax_t held = size - std::min(size, start);
+  if (held < least)
   {
-    failCt(path, "truncated: " + data.string() + " has " + std::to_string(fs::file_size(data)) + " bytes, expected " +
-                     std::to_string(start + least));
+    failCt(path, "truncated: " + data.string() + " has " + std::to_string(held) + " bytes of voxels, expected " +
+                     std::to_string(least));
   }
 }
 
@@ -199,10 +202,39 @@ std::string lettersOf(const Eigen::Matrix3d& axes, bool from)
   return letters;
 }
 
+/// ITK takes as much memory as CompressedDataSize says before it reads, whatever that is, and finds it in lines that
+/// are none of a header to us.
+void requireBoundedCompression(const std::string& data, const std::string& path)
+{
+  const fs::path data_file = fs::path(path).parent_path() / data;
+  const std::uintmax_t most =
+      std::max(fs::file_size(path), fs::is_regular_file(data_file) ? fs::file_size(data_file) : 0);
+  std::ifstream file(path, std::ios::binary);
+  const std::string key = "CompressedDataSize";
+  for (std::string line; std::getline(file, line);)
+  {
+    const std::size_t at = line.find(key);
+    if (at == std::string::npos)
+    {
+      continue;
+    }
+    const std::size_t begin = std::min(line.find_first_not_of(" \t:=", at + key.size()), line.size());
+    const std::size_t end = line.find_last_not_of(" \t\r") + 1;
+    const std::string stated = line.substr(begin, end - std::min(begin, end));
+    if (stated.empty() || stated.size() > 18 || stated.find_first_not_of("0123456789") != std::string::npos ||
+        std::stoull(stated) > most)
+    {
+      failCt(path, key + " is " + stated.substr(0, 80) + ", expected a number of bytes, " + std::to_string(most) +
+                       " at most: that many has the file");
+    }
+  }
+}
+
 void requireUsableMetaImageHeader(const std::string& path)
 {
   TextHeader header = readMetaImageHeader(path);
   requireBoundedSize(header, "NDims", "DimSize", path);
+  requireBoundedCompression(header.fields["ElementDataFile"], path);
   const std::string unit = header.fields["DistanceUnits"];
   if (!unit.empty() && unit != "mm" && unit != "?")
   {

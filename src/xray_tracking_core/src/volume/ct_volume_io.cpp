@@ -3,6 +3,7 @@
 #include <filesystem>
 #include <fstream>
 #include <limits>
+#include <new>
 #include <sstream>
 #include <type_traits>
 #include <utility>
@@ -115,6 +116,11 @@ StoredVolume readByItk(itk::ImageIOBase& format, const std::string& path)
   catch (const itk::ExceptionObject& error)
   {
     failCt(path, std::string("cannot be read: ") + error.GetDescription());
+  }
+  catch (const std::bad_alloc&)
+  {
+    // Of MetaImage's headers ITK takes in more than is looked at here.
+    failCt(path, "cannot be read: its header asks for more memory than there is");
   }
   return stored;
 }

@@ -3,8 +3,7 @@
 #include <cstdint>
 #include <string>
 
-#include <ros/node_handle.h>
-
+#include "xray_tracking_conversions/parameters.h"
 #include "xray_tracking_detector_simulator/image_formation.h"
 #include "xray_tracking_detector_simulator/simulated_motion.h"
 
@@ -24,5 +23,5 @@ struct SimulatorParameters
 };
 
 /// @throws std::invalid_argument naming the parameter, its value and what was expected
-SimulatorParameters readParameters(const ros::NodeHandle& pnh);
+SimulatorParameters readParameters(ParameterReader reader);
 }  // namespace xray_tracking

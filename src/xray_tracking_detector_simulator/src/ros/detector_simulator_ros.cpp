@@ -96,7 +96,7 @@ void DetectorSimulatorRos::run()
 
 void DetectorSimulatorRos::load()
 {
-  const SimulatorParameters parameters = readParameters(pnh_);
+  const SimulatorParameters parameters = readParameters(ParameterReader(pnh_));
   const TreatmentSetup setup = loadTreatmentSetup(parameters.setup_file);
   simulator_ = std::make_unique<DetectorSimulator>(setup, makeAnatomy(parameters, setup), parameters.motion,
                                                    parameters.image, static_cast<std::uint64_t>(parameters.seed));

@@ -2,7 +2,6 @@
 
 #include <vector>
 
-#include "xray_tracking_conversions/parameters.h"
 #include "xray_tracking_core/option_check.h"
 
 namespace xray_tracking
@@ -58,9 +57,8 @@ void readMotion(ParameterReader& reader, MotionOptions& motion)
 }
 }  // namespace
 
-SimulatorParameters readParameters(const ros::NodeHandle& pnh)
+SimulatorParameters readParameters(ParameterReader reader)
 {
-  ParameterReader reader(pnh);
   SimulatorParameters parameters;
   read(reader, "source", parameters.source);
   requireOption(parameters.source == "phantom" || parameters.source == "ct", "source", "'" + parameters.source + "'",

@@ -4,9 +4,9 @@
 #include <string>
 #include <vector>
 
-#include <ros/node_handle.h>
 #include <opencv2/core.hpp>
 
+#include "xray_tracking_conversions/parameters.h"
 #include "xray_tracking_core/sequence/treatment_setup.h"
 #include "xray_tracking_hyperplane_tracker/hyperplane_tracker.h"
 
@@ -47,5 +47,5 @@ struct TrackerParameters
 
 /// @param default_detector used if `detector` is not set
 /// @throws std::invalid_argument as TrackerParameters::validate
-TrackerParameters readTrackerParameters(const ros::NodeHandle& pnh, const std::string& default_detector);
+TrackerParameters readTrackerParameters(ParameterReader reader, const std::string& default_detector);
 }  // namespace xray_tracking

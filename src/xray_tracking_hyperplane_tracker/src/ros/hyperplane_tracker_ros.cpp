@@ -33,7 +33,7 @@ HyperplaneTrackerRos::HyperplaneTrackerRos(const ros::NodeHandle& nh, const ros:
   std::string fault;
   try
   {
-    settings_ = readTrackerParameters(pnh_, lastName(nh_.getNamespace()));
+    settings_ = readTrackerParameters(ParameterReader(pnh_), lastName(nh_.getNamespace()));
   }
   catch (const std::exception& error)
   {

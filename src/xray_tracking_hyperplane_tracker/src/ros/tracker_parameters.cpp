@@ -6,19 +6,18 @@
 #include <stdexcept>
 #include <string>
 
-#include "xray_tracking_conversions/parameters.h"
 #include "xray_tracking_core/option_check.h"
 
 namespace xray_tracking
 {
 namespace
 {
-cv::Rect readRegion(const ros::NodeHandle& pnh, ParameterReader& reader)
+cv::Rect readRegion(ParameterReader& reader)
 {
   const auto read = [&](const std::string& key)
   {
     const std::string name = "region/" + key;
-    requireOption(pnh.hasParam(name), "parameter " + pnh.resolveName(name), "not set",
+    requireOption(reader.has(name), "parameter " + reader.nameOf(name), "not set",
                   "x_offset, y_offset, width and height in pixels");
     return reader.read(name, 0);
   };
@@ -90,9 +89,8 @@ void TrackerParameters::validate() const
   requireInRange("image_timeout", image_timeout, 0.01, 3600.0);
 }
 
-TrackerParameters readTrackerParameters(const ros::NodeHandle& pnh, const std::string& default_detector)
+TrackerParameters readTrackerParameters(ParameterReader reader, const std::string& default_detector)
 {
-  ParameterReader reader(pnh);
   TrackerParameters parameters;
   HyperplaneTrackerOptions& tracker = parameters.tracker;
   const std::string model = reader.read("model", std::string("auto"));
@@ -115,9 +113,9 @@ TrackerParameters readTrackerParameters(const ros::NodeHandle& pnh, const std::s
   const int seed = reader.read("seed", static_cast<int>(tracker.seed));
   parameters.detector = reader.read("detector", default_detector);
   parameters.setup_file = reader.read("setup_file", parameters.setup_file);
-  if (pnh.hasParam("region"))
+  if (reader.has("region"))
   {
-    parameters.region = readRegion(pnh, reader);
+    parameters.region = readRegion(reader);
   }
   parameters.queue_size = reader.read("queue_size", parameters.queue_size);
   parameters.max_wait = reader.read("max_wait", parameters.max_wait);

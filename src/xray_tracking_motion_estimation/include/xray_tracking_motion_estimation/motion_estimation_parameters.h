@@ -2,8 +2,7 @@
 
 #include <string>
 
-#include <ros/node_handle.h>
-
+#include "xray_tracking_conversions/parameters.h"
 #include "xray_tracking_motion_estimation/motion_monitor.h"
 
 namespace xray_tracking
@@ -21,5 +20,5 @@ struct MotionEstimationParameters
 
 /// Of the node's private namespace; warns of parameters that it does not know.
 /// @throws std::invalid_argument naming the parameter, its value and what was expected
-MotionEstimationParameters readMotionEstimationParameters(const ros::NodeHandle& pnh);
+MotionEstimationParameters readMotionEstimationParameters(ParameterReader reader);
 }  // namespace xray_tracking

@@ -4,7 +4,6 @@
 #include <set>
 #include <stdexcept>
 
-#include "xray_tracking_conversions/parameters.h"
 #include "xray_tracking_core/option_check.h"
 
 namespace xray_tracking
@@ -42,10 +41,9 @@ private:
 };
 }  // namespace
 
-MotionEstimationParameters readMotionEstimationParameters(const ros::NodeHandle& pnh)
+MotionEstimationParameters readMotionEstimationParameters(ParameterReader reader)
 {
   MotionEstimationParameters parameters;
-  ParameterReader reader(pnh);
 
   Group own(reader, "");
   own.read("setup_file", parameters.setup_file);
@@ -137,7 +135,7 @@ MotionEstimationParameters readMotionEstimationParameters(const ros::NodeHandle&
                 "the length of detectors", names.size(), "two or more names that differ");
   if (parameters.setup_file.empty())
   {
-    throw std::invalid_argument("parameter " + pnh.resolveName("setup_file") +
+    throw std::invalid_argument("parameter " + reader.nameOf("setup_file") +
                                 " is not set, expected the path of a setup file");
   }
   return parameters;

@@ -116,7 +116,7 @@ MotionEstimationRos::~MotionEstimationRos()
 
 void MotionEstimationRos::start()
 {
-  parameters_ = readMotionEstimationParameters(pnh_);
+  parameters_ = readMotionEstimationParameters(ParameterReader(pnh_));
   const PoseVerificationOptions& verification = parameters_.monitor.gate.verification;
   ROS_WARN_STREAM_COND(verification.registration && verification.initial_pose_verified,
                        "gate/initial_pose_verified counts for nothing while refinement/mode is not never: the "

@@ -2,8 +2,7 @@
 
 #include <string>
 
-#include <ros/node_handle.h>
-
+#include "xray_tracking_conversions/parameters.h"
 #include "xray_tracking_core/volume/target_mask.h"
 #include "xray_tracking_registration/registration.h"
 
@@ -32,5 +31,5 @@ struct RegistrationParameters
 
 /// Reads and checks all; names that are none are warned of.
 /// @throws std::invalid_argument naming the parameter, its value and what was expected
-RegistrationParameters readRegistrationParameters(const ros::NodeHandle& pnh);
+RegistrationParameters readRegistrationParameters(ParameterReader reader);
 }  // namespace xray_tracking

@@ -5,7 +5,6 @@
 #include <stdexcept>
 
 #include "xray_tracking_conversions/conversions.h"
-#include "xray_tracking_conversions/parameters.h"
 #include "xray_tracking_core/option_check.h"
 
 namespace xray_tracking
@@ -30,10 +29,9 @@ void readMetres(ParameterReader& reader, const std::string& key, double& millime
 }
 }  // namespace
 
-RegistrationParameters readRegistrationParameters(const ros::NodeHandle& pnh)
+RegistrationParameters readRegistrationParameters(ParameterReader reader)
 {
   RegistrationParameters parameters;
-  ParameterReader reader(pnh);
   read(reader, "setup_file", parameters.setup_file);
   read(reader, "data_folder", parameters.data_folder);
   requireOption(parameters.data_folder.empty() || std::filesystem::is_directory(parameters.data_folder), "data_folder",
@@ -79,7 +77,7 @@ RegistrationParameters readRegistrationParameters(const ros::NodeHandle& pnh)
   reader.warnOfUnread();
   if (parameters.setup_file.empty())
   {
-    throw std::invalid_argument("parameter " + pnh.resolveName("setup_file") +
+    throw std::invalid_argument("parameter " + reader.nameOf("setup_file") +
                                 " is not set, expected the path of a setup file");
   }
   return parameters;

@@ -65,7 +65,7 @@ RegistrationRos::RegistrationRos(const ros::NodeHandle& nh, const ros::NodeHandl
   updater_.add("registration", this, &RegistrationRos::diagnose);
   try
   {
-    parameters_ = readRegistrationParameters(pnh_);
+    parameters_ = readRegistrationParameters(ParameterReader(pnh_));
   }
   catch (const std::exception& error)
   {
