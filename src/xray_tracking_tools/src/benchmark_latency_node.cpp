@@ -189,10 +189,16 @@ struct LatencyReport
 LatencyReport measure(LatencyBenchmark& benchmark, double rate_hz, int exposures)
 {
   constexpr double kTrainingTimeout = 20.0;  // [s]
+  constexpr double kAgain = 5.0;             // [s]
   constexpr double kTimeout = 2.0;           // [s]
   LatencyReport report;
   report.rate_hz = rate_hz;
-  report.first_s = benchmark.latency(benchmark.expose(0), kTrainingTimeout);
+  // Others than trackers listen to images as well, so that one may have missed an exposure.
+  report.first_s = -1.0;
+  for (double waited = 0.0; report.first_s < 0.0 && waited < kTrainingTimeout; waited += kAgain)
+  {
+    report.first_s = benchmark.latency(benchmark.expose(0), kAgain);
+  }
   if (report.first_s < 0.0)
   {
     throw std::runtime_error("no transform treatment_room -> patient for the first exposure within 20 s");
