@@ -17,8 +17,9 @@ struct PoseVerificationOptions
 
   /// Tracks that no registration has confirmed for longer than both of these are not believed: tissue that moves
   /// otherwise than the target may hold them, with every figure of theirs at its best.
-  /// [s], > 0. Within a breath, of 3 to 5 s, tissue has been to all the places that it goes to, and what turns by 5 to 10
-  /// degrees a second, unseen by tracks of shifts, was off by up to 2.2 mm after 1 s (knee_real, on which this was chosen).
+  /// [s], > 0. Within a breath, of 3 to 5 s, tissue has been to all the places that it goes to, and what turns by 3 to
+  /// 6 degrees a second, unseen by tracks of shifts, was off by up to 2.2 mm after 1 s (knee_real, on which this was
+  /// chosen).
   double max_unverified_time = 0.5;
   /// [exposure intervals], >= 1. For exposures that are seconds apart: one may be refused.
   double max_unverified_exposures = 3.0;

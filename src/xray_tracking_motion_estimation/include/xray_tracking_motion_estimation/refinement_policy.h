@@ -209,8 +209,8 @@ private:
   /// How it contradicts the tracked pose within the bounds; empty if it does not.
   std::string contradiction(const RefinementReply& reply, const RefinementSeed& exposure) const;
   /// How it is farther from the tracked pose, which counts from the accepted one before, than tissue and the two
-  /// registrations' spread account for in the time between: the tracks have not seen such a motion, or have alone. Empty
-  /// if it is not.
+  /// registrations' spread account for in the time between: the tracks have not seen such a motion, or have alone.
+  /// Empty if it is not.
   std::string leap(const RefinementReply& reply, const RefinementSeed& exposure) const;
   /// Standard deviation of the target's way from one pose to the other in its worst direction [mm].
   double worstSigma(const RigidTransform& one, const PoseCovariance& its_covariance, const RigidTransform& other,
