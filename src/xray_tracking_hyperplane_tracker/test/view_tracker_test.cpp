@@ -2,10 +2,12 @@
 
 #include "xray_tracking_hyperplane_tracker/view_tracker.h"
 
+#include <algorithm>
 #include <memory>
 #include <optional>
 #include <stdexcept>
 #include <string>
+#include <utility>
 
 #include <gtest/gtest.h>
 #include <opencv2/imgproc.hpp>
@@ -39,10 +41,16 @@ cv::Mat exposeAt(const Eigen::Vector2d& place, std::uint32_t seed)
 class ViewTrackerTest : public testing::Test
 {
 protected:
-  explicit ViewTrackerTest(const std::optional<cv::Rect>& region = kRegion)
-    : tracker_(std::make_unique<HyperplaneTracker>(HyperplaneTrackerOptions(), kCounts), kCounts, 1,
-               MotionModel::TRANSLATION, false, region)
+  explicit ViewTrackerTest(const std::optional<cv::Rect>& region = kRegion) : tracker_(newTracker(region)) {}
+
+  static ViewTracker newTracker(const std::optional<cv::Rect>& region = kRegion)
   {
+    return { std::make_unique<HyperplaneTracker>(HyperplaneTrackerOptions(), kCounts),
+             kCounts,
+             1,
+             MotionModel::TRANSLATION,
+             false,
+             region };
   }
 
   /// The exposure at a place; what is to be learnt from it is, after its answer. @return the answer
@@ -185,6 +193,37 @@ TEST_F(ViewTrackerTest, learnsWhereBladesCoverTheOldTemplate)
   EXPECT_EQ(1, answer.reference_stamp_ns);
   EXPECT_EQ("", outcome_);
   expectTracked(showImage(with_blades({ 2.0, 1.5 })), 2, beside, { 1.5, 1.0 });
+}
+
+/// What passes in front of the region, sharp-edged as a rod, leaves nothing behind in what is seen of it later.
+TEST_F(ViewTrackerTest, whatHasPassedIsForgotten)
+{
+  constexpr int kAfter = 5;  // exposures
+  int lost = 0;
+  for (const auto& [width, speed] : { std::pair(5, 7), std::pair(45, 11) })
+  {
+    tracker_ = newTracker();
+    ViewTracker undisturbed = newTracker();
+    for (int left = kRegion.x - 2 * width, after = 0; after < kAfter; left += speed)
+    {
+      cv::Mat image = exposeAt({ 0.02 * left, 1.0 }, ++seed_);
+      const ViewAnswer expected = undisturbed.answer(image, ++stamp_, std::nullopt);
+      if (left < image.cols)
+      {
+        cv::Mat rod = image.colRange(std::max(left, 0), std::clamp(left + width, 1, image.cols));
+        rod = 0.15 * (rod - kOffset) + kOffset;
+      }
+      const ViewAnswer answer = tracker_.answer(image, stamp_, std::nullopt);
+      lost += answer.found() ? 0 : 1;
+      if (left > kRegion.br().x + 10)
+      {
+        ++after;
+        EXPECT_LT((answer.motion.displacement - expected.motion.displacement).norm(), 0.01) << width << " px";
+        EXPECT_NEAR(expected.motion.quality, answer.motion.quality, 0.01) << width << " px";
+      }
+    }
+  }
+  EXPECT_GT(lost, 0) << "no rod does any harm, so this test tells nothing";
 }
 
 TEST_F(ViewTrackerTest, anImageThatCannotBeReadIsALossAndNoMore)

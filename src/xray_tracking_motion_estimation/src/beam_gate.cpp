@@ -74,6 +74,7 @@ void BeamGateOptions::validate() const
   positive("max_displacement", max_displacement, "a number > 0 mm");
   positive("max_rotation", max_rotation, "a number > 0 rad");
   positive("max_sigma", max_sigma, "a number > 0 mm");
+  positive("max_tracked_sigma", max_tracked_sigma, "a number > 0 mm");
   positive("max_speed", max_speed, "a number > 0 mm/s");
   require(good_exposures >= 2, "good_exposures", good_exposures, "2 or more");
   require(jump_exposures >= good_exposures, "jump_exposures", jump_exposures, "good_exposures or more");
@@ -138,11 +139,15 @@ BeamGate::Verdict BeamGate::judge(const GateExposure& exposure) const
   }
   const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> axes(exposure.covariance, Eigen::EigenvaluesOnly);
   const double variance = axes.eigenvalues()[2];
-  if (!(axes.eigenvalues()[0] >= -1e-9 * variance) || variance > options_.max_sigma * options_.max_sigma)
+  const bool between_registrations = options_.verification.registration && !exposure.registered;
+  const double max_sigma =
+      between_registrations ? std::min(options_.max_tracked_sigma, options_.max_sigma) : options_.max_sigma;
+  if (!(axes.eigenvalues()[0] >= -1e-9 * variance) || variance > max_sigma * max_sigma)
   {
     return { GateReason::UNCERTAIN,
              compose("the displacement's standard deviation is ", millimetres(std::sqrt(variance)),
-                     ", expected at most ", millimetres(options_.max_sigma)) };
+                     ", expected at most ", millimetres(max_sigma),
+                     between_registrations ? " of a tracked pose" : "") };
   }
   if (!exposure.doubt.empty())
   {

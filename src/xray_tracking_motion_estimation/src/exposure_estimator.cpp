@@ -138,9 +138,11 @@ void ExposureEstimator::accept(const Refinement& refinement, const TrackedExposu
   }
   for (std::size_t i = 0; i < exposure.views.size(); ++i)
   {
-    if (doubtOf(i, exposure).state == MotionState::OK)
+    // A track of what hides the target is none of it.
+    if (doubtOf(i, exposure).state == MotionState::OK && !refinement.isHidden(i))
     {
-      references_.anchor(i, *exposure.views[i], trackOf(i, *exposure.views[i]), exposure.stamp, refinement.refined);
+      references_.anchor(i, *exposure.views[i], trackOf(i, *exposure.views[i]), exposure.stamp, refinement.refined,
+                         regionAt(i, refinement.refined));
     }
   }
 }

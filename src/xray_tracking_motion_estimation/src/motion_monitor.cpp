@@ -68,6 +68,7 @@ void MotionMonitor::onReply(const RefinementReply& reply, std::int64_t now)
   const bool of_current = current_ && current_->asked == reply.id;
   if (judgement.refinement)
   {
+    judgement.refinement->hidden = clarity_.hidden(reply.view_similarities);
     if (of_current)
     {
       judgement.reason = apply(*judgement.refinement, current_->exposure);
@@ -145,6 +146,7 @@ void MotionMonitor::restart(const std::string& doubt)
   took_ = {};
   last_seen_.reset();
   proposer_.restart();
+  clarity_.restart();
   rules_.restart(doubt);
   if (!doubt.empty())
   {

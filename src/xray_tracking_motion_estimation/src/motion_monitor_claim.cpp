@@ -67,7 +67,11 @@ void MotionMonitor::endClaim(const RefinementReply& reply)
     claim_.reset();
     return;
   }
-  const RefinementPolicy::Judgement judgement = refinement_.judge(reply);
+  RefinementPolicy::Judgement judgement = refinement_.judge(reply);
+  if (judgement.refinement)
+  {
+    judgement.refinement->hidden = clarity_.hidden(reply.view_similarities);
+  }
   const std::string refusal = judgement.refinement ? applyClaim(*judgement.refinement) : judgement.reason;
   if (!refusal.empty())
   {

@@ -21,6 +21,12 @@ bool isOf(const ViewReference& reference, const TrackedView& tracked)
 }
 }  // namespace
 
+bool coverTheSame(const cv::Rect& a, const cv::Rect& b)
+{
+  const int common = (a & b).area();
+  return 2 * common > a.area() + b.area() - common;
+}
+
 ViewReferences::ViewReferences(std::size_t views) : history_(kHistoryCapacity), references_(views) {}
 
 void ViewReferences::clear()
@@ -77,7 +83,7 @@ ViewMeasurement ViewReferences::measurement(std::size_t view, const Track& track
 }
 
 void ViewReferences::anchor(std::size_t view, const TrackedView& tracked, const Track& track, std::int64_t stamp,
-                            const RigidTransform& room_from_patient)
+                            const RigidTransform& room_from_patient, const std::optional<cv::Rect>& expected)
 {
   std::optional<ViewReference>& reference = references_[view];
   if ((reference && reference->template_stamp > tracked.reference_stamp) || !track.warp().allFinite() ||
@@ -87,9 +93,17 @@ void ViewReferences::anchor(std::size_t view, const TrackedView& tracked, const 
   }
   if (!reference || !isOf(*reference, tracked))
   {
-    // Learnt at a pose that is not known: about where it is now, less what it was tracked by.
-    reference = ViewReference{ tracked.reference_stamp, tracked.region, room_from_patient, {}, {}, stamp, true };
-    reference->region += cv::Point(cvRound(track.displacement.x()), cvRound(track.displacement.y()));
+    // Learnt at a pose that is not known: what was learnt may be something that has passed in front of the target
+    // since.
+    const cv::Rect now = tracked.region + cv::Point(cvRound(track.displacement.x()), cvRound(track.displacement.y()));
+    const bool alike = expected && expected->size() == now.size();
+    if (alike && !coverTheSame(*expected, now))
+    {
+      return;
+    }
+    // Where the one before would be, as what is off in many such tracks adds up.
+    reference =
+        ViewReference{ tracked.reference_stamp, alike ? *expected : now, room_from_patient, {}, {}, stamp, true };
   }
   reference->room_from_patient = room_from_patient;
   reference->anchor = track;

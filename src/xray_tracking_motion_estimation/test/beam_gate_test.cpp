@@ -124,6 +124,32 @@ TEST_F(BeamGateTest, ClosesOnUncertainty)
   expectClosedBy(GateReason::UNCERTAIN, [](GateExposure& e) { e.doubt = "detector_a is degraded"; });
 }
 
+/// Between registrations a third of 1.5 mm is the most that tracks may be uncertain by; without any they have to do.
+TEST_F(BeamGateTest, ClosesOnUncertaintyBetweenRegistrations)
+{
+  const auto reason = [this](double sigma, bool registration, bool registered, double max_sigma)
+  {
+    BeamGateOptions of_case = registration ? registrationOptions() : statedOptions();
+    of_case.max_sigma = max_sigma;
+    BeamGate judging(of_case);
+    for (int i = 0; i < of_case.good_exposures + 1; ++i)
+    {
+      GateExposure exposure = good();
+      exposure.registered = registration && (registered || i < of_case.good_exposures);
+      exposure.covariance(2, 2) = i < of_case.good_exposures ? 0.01 : sigma * sigma;
+      EXPECT_EQ(i >= of_case.good_exposures, judging.open());
+      judging.update(exposure);
+    }
+    return judging.reason();
+  };
+  EXPECT_EQ(GateReason::NONE, reason(0.49, true, false, 1.5));
+  EXPECT_EQ(GateReason::UNCERTAIN, reason(0.51, true, false, 1.5));
+  EXPECT_EQ(GateReason::NONE, reason(1.49, true, true, 1.5));
+  EXPECT_EQ(GateReason::UNCERTAIN, reason(1.51, true, true, 1.5));
+  EXPECT_EQ(GateReason::NONE, reason(1.49, false, false, 1.5));
+  EXPECT_EQ(GateReason::UNCERTAIN, reason(0.41, true, false, 0.4)) << "the smaller of both counts";
+}
+
 TEST_F(BeamGateTest, ClosesOnRotation)
 {
   expectClosedBy(GateReason::DISPLACED, [](GateExposure& e) { e.rotation = 0.06; });
@@ -632,6 +658,7 @@ TEST(BeamGateOptions, AreChecked)
   EXPECT_TRUE(refused([](auto& o) { o.max_displacement = -1.0; }, "max_displacement"));
   EXPECT_TRUE(refused([](auto& o) { o.max_rotation = 0.0; }, "max_rotation"));
   EXPECT_TRUE(refused([](auto& o) { o.max_sigma = std::numeric_limits<double>::quiet_NaN(); }, "max_sigma"));
+  EXPECT_TRUE(refused([](auto& o) { o.max_tracked_sigma = 0.0; }, "max_tracked_sigma"));
   EXPECT_TRUE(refused([](auto& o) { o.max_speed = std::numeric_limits<double>::infinity(); }, "max_speed"));
   EXPECT_TRUE(refused([](auto& o) { o.good_exposures = 1; }, "good_exposures"));
   EXPECT_TRUE(refused([](auto& o) { o.jump_exposures = 2; }, "jump_exposures"));

@@ -106,7 +106,7 @@ void TreatmentFeed::show(TreatmentView& view) const
   }
   view.max_displacement = max_displacement_;
   view.max_rotation = max_rotation_;
-  view.max_sigma = max_sigma_;
+  view.max_sigma = motion_ && motion_->source == PatientMotion::REGISTERED ? max_sigma_ : max_tracked_sigma_;
 }
 
 TreatmentFeed::Charts TreatmentFeed::charts() const
@@ -226,11 +226,16 @@ std::vector<std::string> TreatmentFeed::look()
   const double max_displacement = parameter("max_displacement", 3.0);
   const double max_rotation = kDegrees * parameter("max_rotation", 0.0524);
   const double max_sigma = parameter("max_sigma", 1.5);
+  std::string mode;
+  nh_.getParam("motion_estimation/refinement/mode", mode);
+  const bool tracked_alone = mode.empty() || mode == "never";
+  const double max_tracked_sigma = tracked_alone ? max_sigma : std::min(max_sigma, parameter("max_tracked_sigma", 0.5));
 
   const std::lock_guard<std::mutex> lock(mutex_);
   max_displacement_ = max_displacement;
   max_rotation_ = max_rotation;
   max_sigma_ = max_sigma;
+  max_tracked_sigma_ = max_tracked_sigma;
   return found;
 }
 }  // namespace xray_tracking

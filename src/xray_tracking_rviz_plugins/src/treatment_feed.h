@@ -70,7 +70,7 @@ private:
   Charts charts_;
   Lights lights_;
   std::map<std::string, std::unique_ptr<Tracker>> trackers_;
-  double max_displacement_ = 3.0, max_rotation_ = 3.0, max_sigma_ = 1.5;
+  double max_displacement_ = 3.0, max_rotation_ = 3.0, max_sigma_ = 1.5, max_tracked_sigma_ = 1.5;
   ros::Subscriber gate_subscriber_, motion_subscriber_, refined_subscriber_, pose_subscriber_;
 };
 }  // namespace xray_tracking

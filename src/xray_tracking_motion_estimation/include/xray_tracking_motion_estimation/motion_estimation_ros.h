@@ -137,7 +137,7 @@ private:
   ros::ServiceServer hold_beam_server_;
   ros::Subscriber operator_subscriber_;
   std::unique_ptr<AlignmentServer> alignment_server_;
-  std::uint64_t asked_ = 0;                   ///< the request that the registration is at
+  RefinementRequest asked_{};                 ///< the request that the registration is at
   std::optional<RefinementRequest> waiting_;  ///< the one that it is asked next
   std::unique_ptr<ServiceCaller<RefinePose>> registration_;
   diagnostic_updater::Updater updater_;

@@ -17,6 +17,7 @@
 #include "xray_tracking_motion_estimation/refinement_policy.h"
 #include "xray_tracking_motion_estimation/region_proposer.h"
 #include "xray_tracking_motion_estimation/tracked_view.h"
+#include "xray_tracking_motion_estimation/view_clarity.h"
 
 namespace xray_tracking
 {
@@ -160,6 +161,7 @@ private:
   BeamGate gate_;
   DecisionRules rules_;
   RegionProposer proposer_;
+  ViewClarity clarity_;
 
   std::deque<TrackedExposure> waiting_;
   std::optional<Current> current_;

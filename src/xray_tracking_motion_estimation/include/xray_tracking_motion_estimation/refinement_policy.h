@@ -90,6 +90,8 @@ struct RefinementReply
   double seed_similarity = 0.0;  ///< at the pose that the request started from
   double similarity = 0.0;       ///< at the refined pose
   double pull = 0.0;             ///< by how much a view alone would move the target, the largest [mm]
+  /// At the refined pose, one a view; not finite of those without which it was asked; none if nothing is known of them.
+  std::vector<double> view_similarities{};
 };
 
 /// An accepted refinement: that exposure's pose as it was tracked, if it was, and as it is.
@@ -104,6 +106,10 @@ struct Refinement
   bool outvoted = false;
   /// Somebody has stated that the target is about there, whatever was known of it before.
   bool claimed = false;
+  /// Views in which it does not see the target, see ViewClarity: one a view, or none.
+  std::vector<bool> hidden{};
+
+  bool isHidden(std::size_t view) const { return view < hidden.size() && hidden[view]; }
 
   /// What an exposure's tracked pose becomes: the tracked motion of the target since the refined exposure (or from then
   /// back), applied where the target is after all; only if `tracked` is known. For tracks that measure translations

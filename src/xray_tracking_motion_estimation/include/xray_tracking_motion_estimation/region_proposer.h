@@ -22,7 +22,8 @@ struct RegionProposal
 };
 
 /// Finds views that have lost the target, or follow something else, in exposures that are registered, and those whose
-/// regions were placed by a pose that was none: they are to learn their regions anew where the target is. No clock.
+/// regions were placed by a pose that was none, or learnt while something hid the target: they are to learn their
+/// regions anew where the target is, and while they show it. No clock.
 class RegionProposer
 {
 public:
@@ -56,6 +57,8 @@ private:
     int exposures = 0;                       ///< in a row
     std::optional<std::int64_t> proposed{};  ///< stamp of the last proposal
     std::optional<std::int64_t> stated{};    ///< templates of no later stamp are to be learnt anew
+    std::optional<std::int64_t> judged{};    ///< the template that `spoilt` is of, by its stamp [ns]
+    bool spoilt = false;                     ///< the first registration after it was learnt did not see the target
   };
   void propose(std::size_t view, const cv::Rect& region, std::int64_t stamp);
   /// Whether a view's track is far from where the registration sees the target. @param region its, there [px]

@@ -12,6 +12,10 @@
 
 namespace xray_tracking
 {
+/// Whether two regions have more than half of what either covers in common: a region that somebody has drawn around the
+/// target is that good, and one that is off by half of its width is not.
+bool coverTheSame(const cv::Rect& a, const cv::Rect& b);
+
 /// What a view's tracks are relative to.
 struct ViewReference
 {
@@ -48,9 +52,11 @@ public:
   ViewMeasurement measurement(std::size_t view, const Track& track, std::int64_t stamp) const;
 
   /// From here on the view's track counts from this exposure, at this pose: what it was wrong by until then is out of
-  /// it. Nothing happens if the view has got a newer template meanwhile. @param stamp of the exposure [ns]
+  /// it. Nothing happens if the view has got a newer template meanwhile, or one that was learnt at a pose that is not
+  /// known and is elsewhere now than the one before it would be: that follows something else.
+  /// @param stamp of the exposure [ns]; @param expected regionAt() this pose
   void anchor(std::size_t view, const TrackedView& tracked, const Track& track, std::int64_t stamp,
-              const RigidTransform& room_from_patient);
+              const RigidTransform& room_from_patient, const std::optional<cv::Rect>& expected);
 
   /// Moves all poses that were tracked, not registered, as a refinement does, once. If it was found without tracks,
   /// nothing connects them with it: they are not known any more.

@@ -90,6 +90,7 @@ MotionEstimationParameters readMotionEstimationParameters(ParameterReader reader
   gate.read("max_displacement", monitor.gate.max_displacement);
   gate.read("max_rotation", monitor.gate.max_rotation);
   gate.read("max_sigma", monitor.gate.max_sigma);
+  gate.read("max_tracked_sigma", monitor.gate.max_tracked_sigma);
   gate.read("max_speed", monitor.gate.max_speed);
   gate.read("good_exposures", monitor.gate.good_exposures);
   gate.read("jump_exposures", monitor.gate.jump_exposures);

@@ -405,7 +405,7 @@ void MotionEstimationRos::ask(const RefinementRequest& request)
   }
   if (registration_->call(message))
   {
-    asked_ = request.id;
+    asked_ = request;
   }
   else
   {

@@ -57,10 +57,11 @@ std::string statusInWords(std::uint8_t status)
 }
 }  // namespace
 
-RefinementReply replyFrom(std::uint64_t id, const std::optional<RefinePose::Response>& response, const std::string& why)
+RefinementReply replyFrom(const RefinementRequest& request, const std::optional<RefinePose::Response>& response,
+                          const std::string& why)
 {
   RefinementReply reply;
-  reply.id = id;
+  reply.id = request.id;
   reply.text = why;
   if (!response)
   {
@@ -78,14 +79,17 @@ RefinementReply replyFrom(std::uint64_t id, const std::optional<RefinePose::Resp
     reply.covariance = covarianceFromPoseMsg(result.pose);
     reply.seed_similarity = result.similarity_before;
     reply.similarity = result.similarity_after;
+    std::vector<double> similarities;
     for (const xray_tracking_msgs::ViewResidual& view : result.views)
     {
+      similarities.push_back(view.similarity);
       if (!std::isfinite(view.pull))
       {
         throw std::invalid_argument("a view's pull is " + std::to_string(view.pull) + ", expected a number");
       }
       reply.pull = std::max(reply.pull, kMillimetresPerMetre * view.pull);
     }
+    reply.view_similarities = oneAView(similarities, request.without);
     reply.success = true;
   }
   catch (const std::exception& error)  // of a pose that is none

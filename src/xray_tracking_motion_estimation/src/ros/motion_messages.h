@@ -20,6 +20,7 @@ geometry_msgs::PoseWithCovarianceStamped poseStampedFrom(std::int64_t stamp, con
                                                          const PoseCovariance& covariance);
 
 /// The answer to a request. @param why there is no response, if there is none
-RefinementReply replyFrom(std::uint64_t id, const std::optional<xray_tracking_msgs::RefinePose::Response>& response,
+RefinementReply replyFrom(const RefinementRequest& request,
+                          const std::optional<xray_tracking_msgs::RefinePose::Response>& response,
                           const std::string& why);
 }  // namespace xray_tracking

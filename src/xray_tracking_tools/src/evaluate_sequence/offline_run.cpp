@@ -1,5 +1,7 @@
 #include "offline_run.h"
 
+#include <algorithm>
+#include <iterator>
 #include <utility>
 
 #include "processor_time.h"
@@ -172,6 +174,10 @@ RefinementReply OfflineRun::registered(const RefinementRequest& request)
   reply.seed_similarity = result.similarity_before;
   reply.similarity = result.similarity_after;
   reply.pull = result.figures.pull_mm;
+  std::vector<double> similarities;
+  std::transform(result.views.begin(), result.views.end(), std::back_inserter(similarities),
+                 [](const ViewResidual& view) { return view.similarity; });
+  reply.view_similarities = oneAView(similarities, request.without);
   return reply;
 }
 }  // namespace xray_tracking

@@ -193,6 +193,7 @@ json describeSettings(const ExposureSource& source)
            { "gate max. displacement [mm]", monitor.gate.max_displacement },
            { "gate max. rotation [rad]", monitor.gate.max_rotation },
            { "gate max. sigma [mm]", monitor.gate.max_sigma },
+           { "gate max. tracked sigma [mm]", monitor.gate.max_tracked_sigma },
            { "gate max. speed [mm/s]", monitor.gate.max_speed },
            { "gate good exposures", monitor.gate.good_exposures } };
 }

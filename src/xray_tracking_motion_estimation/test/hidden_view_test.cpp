@@ -1,0 +1,163 @@
+// What passes in front of a view is not learnt for the target, nor followed.
+
+#include <cmath>
+#include <limits>
+#include <vector>
+
+#include <gtest/gtest.h>
+
+#include "monitor_test.h"
+#include "xray_tracking_motion_estimation/view_clarity.h"
+
+namespace xray_tracking
+{
+namespace
+{
+TEST(ViewClarity, JudgesAViewByItsOwnPast)
+{
+  ViewClarity clarity;
+  using Views = std::vector<bool>;
+  // A view that is always poor is not hidden.
+  for (int i = 0; i < 20; ++i)
+  {
+    EXPECT_EQ((Views{ false, false }), clarity.hidden({ 0.3, 0.9 }));
+  }
+  EXPECT_EQ((Views{ false, true }), clarity.hidden({ 0.2, 0.4 }));
+  EXPECT_EQ((Views{ true, false }), clarity.hidden({ 0.14, 0.5 }));
+  // However long it is hidden, that does not become its usual state.
+  for (int i = 0; i < 1000; ++i)
+  {
+    EXPECT_EQ((Views{ true, false }), clarity.hidden({ 0.14, 0.9 })) << i;
+  }
+  // What was not compared is neither.
+  EXPECT_EQ((Views{ false, true }), clarity.hidden({ std::numeric_limits<double>::quiet_NaN(), 0.1 }));
+  EXPECT_EQ((Views{ true, false }), clarity.hidden({ 0.14, 0.9 }));
+  EXPECT_TRUE(clarity.hidden({}).empty());
+  clarity.restart();
+  EXPECT_EQ((Views{ false, false }), clarity.hidden({ 0.14, 0.9 }));
+}
+
+TEST(ViewClarity, FiguresStandAtTheirViews)
+{
+  EXPECT_EQ((std::vector<double>{ 0.3, 0.9 }), oneAView({ 0.3, 0.9 }, { false, false }));
+  const std::vector<double> without = oneAView({ 0.3, 0.9 }, { false, true, false });
+  ASSERT_EQ(3u, without.size());
+  EXPECT_EQ(0.3, without[0]);
+  EXPECT_TRUE(std::isnan(without[1]));
+  EXPECT_EQ(0.9, without[2]);
+  EXPECT_TRUE(oneAView({ 0.3 }, { false, false }).empty()) << "which view it is of is not known";
+  EXPECT_TRUE(oneAView({}, { false, false }).empty());
+}
+
+class HiddenViewTest : public MonitorTest
+{
+protected:
+  /// An exposure that is registered where the target is; the first view's similarity is told.
+  void see(const Eigen::Vector3d& motion, double first_similarity, const Alter& alter = {})
+  {
+    expose(motion, alter);
+    RefinementReply reply = believed(request().id, motion);
+    reply.view_similarities = { first_similarity, 0.9 };
+    monitor->onReply(reply, now + 20 * kMillisecond);
+    expectPose(decision(), PoseSource::REGISTERED, motion, kExact);
+  }
+
+  /// An exposure that nobody knows the pose of.
+  void seeNothing(const Eigen::Vector3d& motion)
+  {
+    expose(motion, loseAll);
+    monitor->onReply(doubted(request().id), now);
+    expectNone(decision(), MotionState::LOST, "lost");
+  }
+
+  /// The first view's next template, learnt where the target is in the latest exposure.
+  void learn(const Eigen::Vector3d& motion) { trained[0] = { stamp, motion }; }
+
+  void expectProposal(const Eigen::Vector3d& motion)
+  {
+    const std::optional<RegionProposal> proposal = monitor->takeProposal();
+    ASSERT_TRUE(proposal);
+    EXPECT_EQ(0u, proposal->view);
+    // Of the initial pose's template, which all regions are as large as.
+    const cv::Rect expected = tracked(0, motion).region;
+    const Eigen::Vector2d shift = tracked(0, motion).track.displacement;
+    EXPECT_LT(
+        (Eigen::Vector2d(proposal->region.x, proposal->region.y) - Eigen::Vector2d(expected.x, expected.y) - shift)
+            .norm(),
+        1.5);
+    EXPECT_EQ(expected.size(), proposal->region.size());
+  }
+
+  static constexpr double kClear = 0.9, kHidden = 0.14;
+};
+
+TEST_F(HiddenViewTest, IsNotToLearnWhatHidesTheTarget)
+{
+  start();
+  see({ 0.0, 0.0, 0.0 }, kClear);
+  see({ 1.0, 0.0, 0.0 }, kClear);
+  for (int i = 0; i < 10; ++i)
+  {
+    see({ 1.0, 0.0, 0.0 }, kHidden, loseFirst);
+    EXPECT_FALSE(monitor->takeProposal()) << i;
+  }
+  see({ 1.0, 0.0, 0.0 }, kClear, loseFirst);
+  EXPECT_FALSE(monitor->takeProposal());
+  see({ 1.0, 0.0, 0.0 }, kClear, loseFirst);
+  expectProposal({ 1.0, 0.0, 0.0 });
+}
+
+/// It has come between the proposal and the exposure that is learnt from.
+TEST_F(HiddenViewTest, WhatHidTheTargetWhenItWasLearntIsLearntAnew)
+{
+  start();
+  see({ 0.0, 0.0, 0.0 }, kClear);
+  see({ 1.0, 0.0, 0.0 }, kClear);
+  learn({ 1.0, 0.0, 0.0 });
+  for (int i = 0; i < 3; ++i)
+  {
+    see({ 1.5, 0.0, 0.0 }, kHidden);
+    EXPECT_FALSE(monitor->takeProposal()) << i;
+  }
+  see({ 2.0, 0.0, 0.0 }, kClear);
+  EXPECT_FALSE(monitor->takeProposal());
+  see({ 2.0, 0.0, 0.0 }, kClear);
+  expectProposal({ 2.0, 0.0, 0.0 });
+  learn({ 2.0, 0.0, 0.0 });
+  for (int i = 0; i < 10; ++i)
+  {
+    see({ 2.0, 0.0, 0.0 }, kClear);
+    EXPECT_FALSE(monitor->takeProposal()) << "what was learnt of the target stays";
+  }
+}
+
+/// A template of an unknown pose follows an instrument, whose way tells nothing of where the target's region is.
+TEST_F(HiddenViewTest, WhatFollowsSomethingElseDoesNotTakeTheRegionAlong)
+{
+  start();
+  see({ 0.0, 0.0, 0.0 }, kClear);
+  see({ 1.0, 0.0, 0.0 }, kClear);
+  seeNothing({ 1.0, 0.0, 0.0 });
+  learn({ 1.0, 0.0, 0.0 });
+  seeNothing({ 1.0, 0.0, 0.0 });
+  double way = 0.0;
+  const auto follow = [&way](std::vector<std::optional<TrackedView>>& views)
+  { views[0]->track.displacement.x() += way; };
+  std::optional<RegionProposal> proposal;
+  for (int i = 0; i < 4 && !proposal; ++i)
+  {
+    way = 90.0 + 3.0 * i;
+    expose({ 1.0, 0.0, 0.0 }, follow);
+    RefinementReply reply = believed(request().id, { 1.0, 0.0, 0.0 });
+    reply.view_similarities = { kClear, kClear };
+    monitor->onReply(reply, now + 20 * kMillisecond);
+    decision();
+    proposal = monitor->takeProposal();
+  }
+  ASSERT_TRUE(proposal);
+  const cv::Rect there = tracked(0, { 1.0, 0.0, 0.0 }).region;
+  EXPECT_LT((Eigen::Vector2d(proposal->region.x, proposal->region.y) - Eigen::Vector2d(there.x, there.y)).norm(), 5.0)
+      << proposal->region.x << ", " << proposal->region.y;
+}
+}  // namespace
+}  // namespace xray_tracking
