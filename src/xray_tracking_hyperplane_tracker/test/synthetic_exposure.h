@@ -1,7 +1,9 @@
 #pragma once
 
+#include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <iterator>
 #include <random>
 #include <vector>
 
@@ -17,6 +19,7 @@ class GaussianField
 public:
   GaussianField(std::uint32_t seed, int count, double smallest_sigma, double largest_sigma, double amplitude,
                 const cv::Size& size)
+    : cells_(static_cast<int>(std::ceil(size.width / kCell)), static_cast<int>(std::ceil(size.height / kCell)))
   {
     std::mt19937 random(seed);
     const auto uniform = [&random](double low, double high)
@@ -26,25 +29,42 @@ public:
       blobs_.push_back({ uniform(0, size.width), uniform(0, size.height), uniform(smallest_sigma, largest_sigma),
                          uniform(-amplitude, amplitude) });
     }
+    for (int i = 0; i < cells_.width * cells_.height; ++i)
+    {
+      const double x = kCell * (i % cells_.width + 0.5), y = kCell * (i / cells_.width + 0.5);
+      std::vector<Blob>& near = near_.emplace_back();
+      std::copy_if(blobs_.begin(), blobs_.end(), std::back_inserter(near),
+                   [&](const Blob& b)
+                   { return std::hypot(x - b.x, y - b.y) < kCell + std::sqrt(2.0 * kFarthest) * b.sigma; });
+    }
   }
 
   double operator()(double x, double y) const
   {
+    const bool inside = x >= 0.0 && y >= 0.0 && x < kCell * cells_.width && y < kCell * cells_.height;
+    const auto cell = inside ? static_cast<std::size_t>(y / kCell) * static_cast<std::size_t>(cells_.width) +
+                                   static_cast<std::size_t>(x / kCell)
+                             : 0;
     double sum = 0.0;
-    for (const Blob& b : blobs_)
+    for (const Blob& b : inside ? near_[cell] : blobs_)
     {
-      const double squares = (std::pow(x - b.x, 2) + std::pow(y - b.y, 2)) / (2.0 * b.sigma * b.sigma);
-      sum += squares < 20.0 ? b.amplitude * std::exp(-squares) : 0.0;
+      const double dx = x - b.x, dy = y - b.y;
+      const double squares = (dx * dx + dy * dy) / (2.0 * b.sigma * b.sigma);
+      sum += squares < kFarthest ? b.amplitude * std::exp(-squares) : 0.0;
     }
     return sum;
   }
 
 private:
+  static constexpr double kCell = 16.0;      ///< [px]
+  static constexpr double kFarthest = 20.0;  ///< squared distance, in 2 sigma squared, from which on a blob is zero
   struct Blob
   {
     double x, y, sigma, amplitude;
   };
   std::vector<Blob> blobs_;
+  cv::Size cells_;
+  std::vector<std::vector<Blob>> near_;  ///< of each cell, the blobs that are not zero all over it
 };
 
 /// How an exposure of 240 x 200 pixels differs from the plain one.
