@@ -416,20 +416,42 @@ void MotionMonitor::tellGate(const MotionDecision& decision, std::int64_t now)
     exposure.covariance = decision.displacement_covariance;
     exposure.rotation = rules_.rotation(decision.room_from_patient);
     exposure.rotation_variance = largestEigenvalue(decision.pose_covariance.bottomRightCorner<3, 3>());
-    if (exposure.registered && current_->tracks.state == MotionState::INCONSISTENT)
-    {
-      // Either tracks are wrong or views are of different moments, which a registration need not show.
-      exposure.doubt = "registered, but the tracks contradict each other: " + current_->tracks.reason;
-    }
-    for (std::size_t i = 0; !exposure.registered && i < options_.tracks.views.size(); ++i)
-    {
-      if (tracks_.doubt(i).state == MotionState::OK && current_->exposure.views[i]->state == RegionState::DEGRADED)
-      {
-        exposure.doubt = options_.tracks.views[i] + " is degraded: much of its region does not look like the template";
-      }
-    }
+    exposure.doubt = exposure.registered ? doubtOfRegistered() : doubtOfTracked();
   }
   gate_.update(exposure);
 }
 
+std::string MotionMonitor::doubtOfRegistered() const
+{
+  const std::vector<std::string>& names = options_.tracks.views;
+  std::string hidden;
+  std::size_t seeing = 0;
+  for (std::size_t i = 0; i < names.size(); ++i)
+  {
+    const bool is_hidden = current_->refinement->isHidden(i);
+    hidden = is_hidden ? names[i] : hidden;
+    seeing += is_hidden || current_->without[i] ? 0 : 1;
+  }
+  if (!hidden.empty() && seeing < 2)
+  {
+    return "registered, but fewer than two views show the target: something hides it from " + hidden;
+  }
+  // Either tracks are wrong or views are of different moments, which a registration need not show.
+  return current_->tracks.state == MotionState::INCONSISTENT
+             ? "registered, but the tracks contradict each other: " + current_->tracks.reason
+             : std::string();
+}
+
+std::string MotionMonitor::doubtOfTracked() const
+{
+  const std::vector<std::string>& names = options_.tracks.views;
+  for (std::size_t i = 0; i < names.size(); ++i)
+  {
+    if (tracks_.doubt(i).state == MotionState::OK && current_->exposure.views[i]->state == RegionState::DEGRADED)
+    {
+      return names[i] + " is degraded: much of its region does not look like the template";
+    }
+  }
+  return std::string();
+}
 }  // namespace xray_tracking

@@ -107,6 +107,29 @@ TEST_F(HiddenViewTest, IsNotToLearnWhatHidesTheTarget)
   expectProposal({ 1.0, 0.0, 0.0 });
 }
 
+/// Along the other view's rays nothing tells where the target is.
+TEST_F(HiddenViewTest, ClosesTheGateWhereOneOtherViewIsLeft)
+{
+  start();
+  for (int i = 0; i < options.gate.good_exposures; ++i)
+  {
+    see({ 0.0, 0.0, 0.0 }, kClear);
+  }
+  ASSERT_TRUE(monitor->gate().open()) << monitor->gate().text();
+  for (int i = 0; i < 10; ++i)
+  {
+    see({ 0.0, 0.0, 0.0 }, kHidden);
+    EXPECT_EQ(GateReason::UNCERTAIN, monitor->gate().reason());
+    EXPECT_NE(std::string::npos, monitor->gate().text().find("hides it from detector_a")) << monitor->gate().text();
+  }
+  for (int i = 0; i < options.gate.good_exposures; ++i)
+  {
+    EXPECT_FALSE(monitor->gate().open());
+    see({ 0.0, 0.0, 0.0 }, kClear);
+  }
+  EXPECT_TRUE(monitor->gate().open()) << monitor->gate().text();
+}
+
 /// It has come between the proposal and the exposure that is learnt from.
 TEST_F(HiddenViewTest, WhatHidTheTargetWhenItWasLearntIsLearntAnew)
 {

@@ -149,6 +149,10 @@ private:
   std::string apply(const Refinement& refinement, const TrackedExposure& exposure);
   void applyLate(const Refinement& refinement);
   void tellGate(const MotionDecision& decision, std::int64_t now);
+  /// Why the current exposure's pose, registered or tracked, might be worse than its covariance says; empty if nothing
+  /// says so.
+  std::string doubtOfRegistered() const;
+  std::string doubtOfTracked() const;
 
   MotionMonitorOptions options_;
   Eigen::Vector3d target_centre_;
