@@ -202,7 +202,7 @@ void MotionMonitor::estimate()
 
 void MotionMonitor::begin(std::int64_t now)
 {
-  current_.emplace();
+  current_ = Current();
   current_->exposure = std::move(waiting_.front());
   waiting_.pop_front();
   const TrackedExposure& exposure = current_->exposure;
