@@ -98,9 +98,11 @@ class Injector:
         if self.thread.is_alive():
             self.thread.join(5.0)
 
-    def connected(self, subscribers):
-        return all(publisher.get_num_connections() >= subscribers
-                   for pair in self.publishers.values() for publisher in pair)
+    def unconnected(self, subscribers):
+        """Topics of images and camera_info that fewer nodes listen to, and how many do."""
+        counts = {publisher.resolved_name: publisher.get_num_connections()
+                  for pair in self.publishers.values() for publisher in pair}
+        return {topic: count for topic, count in counts.items() if count < subscribers}
 
     def index(self, k):
         return self.show(k) if self.show else self.bank.index(k, self.rate)

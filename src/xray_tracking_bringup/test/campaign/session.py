@@ -56,9 +56,10 @@ class Rig:
         nodes = NODES + (("recorder",) if self.graph_kind == "record" else ())
         self.pids = self.graph.wait_for(nodes, START_S)
         end = time.monotonic() + START_S
-        while not self.injector.connected(2):  # trackers or motion estimation, and registration
+        while unconnected := self.injector.unconnected(2):  # trackers or motion estimation, and registration
             if time.monotonic() > end:
-                raise TimeoutError(f"trackers and registration do not listen within {START_S} s")
+                raise TimeoutError(f"two of trackers, motion estimation and registration do not listen to each topic "
+                                   f"within {START_S} s; listeners: {unconnected}")
             time.sleep(0.1)
         self.injector.start()
 
