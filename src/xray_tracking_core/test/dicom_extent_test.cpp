@@ -82,6 +82,10 @@ TEST_F(DicomExtentTest, LengthsBeyondTheFileAndDeepSequences)
   std::string meta = head;
   meta[meta.find("UI")] = '#';
   EXPECT_EQ(extentOf(meta).state, State::UNSAFE);
+  // GDCM ends the process by an assertion.
+  meta = head;
+  meta.replace(meta.find("UI"), 2, "SQ");
+  EXPECT_EQ(extentOf(meta).state, State::UNSAFE);
   EXPECT_EQ(extentOf("no DICOM").state, State::NO_DICOM);
   EXPECT_EQ(extentOf("").state, State::NO_DICOM);
   EXPECT_EQ(dicomExtent(folder_.path("absent")).state, State::NO_DICOM);

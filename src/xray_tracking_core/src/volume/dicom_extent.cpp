@@ -179,6 +179,10 @@ private:
       {
         irregular(element.tag, "has no length");
       }
+      if (element.vr == "SQ")
+      {
+        irregular(element.tag, "is a sequence, of which meta information has none");
+      }
       requireWithin(element, size_);
       if (element.tag == kTransferSyntax)
       {
