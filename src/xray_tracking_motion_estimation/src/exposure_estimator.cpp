@@ -42,6 +42,8 @@ ExposureEstimator::ExposureEstimator(const ExposureEstimatorOptions& options, co
     rigid_consistency_(options.rigid_consistency),
     references_(options.views.size()),
     doubts_(options.views.size()),
+    hidden_(options.views.size()),
+    first_seen_(options.views.size()),
     measurements_(options.views.size())
 {
 }
@@ -138,8 +140,13 @@ void ExposureEstimator::accept(const Refinement& refinement, const TrackedExposu
   }
   for (std::size_t i = 0; i < exposure.views.size(); ++i)
   {
-    // A track of what hides the target is none of it.
-    if (doubtOf(i, exposure).state == MotionState::OK && !refinement.isHidden(i))
+    const std::optional<TrackedView>& view = exposure.views[i];
+    hidden_[i] = refinement.isHidden(i);
+    if (view && !view->region.empty() && first_seen_[i].template_stamp != view->reference_stamp)
+    {
+      first_seen_[i] = { view->reference_stamp, hidden_[i] };
+    }
+    if (doubtOf(i, exposure).state == MotionState::OK)
     {
       references_.anchor(i, *exposure.views[i], trackOf(i, *exposure.views[i]), exposure.stamp, refinement.refined,
                          regionAt(i, refinement.refined));
@@ -159,6 +166,8 @@ void ExposureEstimator::restart()
   consistency_.reset();
   rigid_consistency_.reset();
   doubts_.assign(doubts_.size(), {});
+  hidden_.assign(hidden_.size(), false);
+  first_seen_.assign(first_seen_.size(), {});
   first_unseen_.reset();
 }
 
@@ -205,6 +214,15 @@ ExposureEstimator::Doubt ExposureEstimator::doubtOf(std::size_t view, const Trac
   if (!tracked)
   {
     return { MotionState::LOST, name + " is silent" };
+  }
+  // A track of what hides the target is none of it.
+  if (hidden_[view])
+  {
+    return { MotionState::LOST, "something hides the target from " + name };
+  }
+  if (isSpoilt(view, *tracked))
+  {
+    return { MotionState::LOST, name + " has learnt its region while something hid the target" };
   }
   const std::string why = tracked->fault.empty() ? std::string() : ": " + tracked->fault;
   switch (tracked->state)

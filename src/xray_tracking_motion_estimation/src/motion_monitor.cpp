@@ -68,7 +68,7 @@ void MotionMonitor::onReply(const RefinementReply& reply, std::int64_t now)
   const bool of_current = current_ && current_->asked == reply.id;
   if (judgement.refinement)
   {
-    judgement.refinement->hidden = clarity_.hidden(reply.view_similarities);
+    judgement.refinement->hidden = clarity_.hidden(reply.view_similarities, judgement.refinement->stamp);
     if (of_current)
     {
       judgement.reason = apply(*judgement.refinement, current_->exposure);

@@ -70,7 +70,9 @@ void MotionMonitor::endClaim(const RefinementReply& reply)
   RefinementPolicy::Judgement judgement = refinement_.judge(reply);
   if (judgement.refinement)
   {
-    judgement.refinement->hidden = clarity_.hidden(reply.view_similarities);
+    // All that was known before is void.
+    clarity_.restart();
+    judgement.refinement->hidden = clarity_.hidden(reply.view_similarities, judgement.refinement->stamp);
   }
   const std::string refusal = judgement.refinement ? applyClaim(*judgement.refinement) : judgement.reason;
   if (!refusal.empty())

@@ -13,6 +13,14 @@ constexpr std::int64_t kProposals = 1000000000;  ///< between two proposals for 
 constexpr double kAstray = 1.0;                  ///< from where a registration sees the target [mm]
 constexpr std::int64_t kFresh = 1000000000;      ///< age up to which a pose says where to look [ns]
 
+/// Whether two regions have more than half of what either covers in common: a region that somebody has drawn around the
+/// target is that good, and one that is off by half of its width is not.
+bool coverTheSame(const cv::Rect& a, const cv::Rect& b)
+{
+  const int common = (a & b).area();
+  return 2 * common > a.area() + b.area() - common;
+}
+
 bool isFound(const TrackedView& view)
 {
   return view.state == RegionState::TRACKING || view.state == RegionState::DEGRADED;
@@ -41,24 +49,18 @@ void RegionProposer::look(const TrackedExposure& exposure, const ExposureEstimat
       region = tracks.regionAt(i, refinement->refined);
     }
     const bool lost = view && view->state == RegionState::LOST;
-    const bool hidden = refinement != nullptr && refinement->isHidden(i);
+    const bool spoilt = region && tracks.isSpoilt(i, *view);
     const bool other = region && followsOther(*view, tracks.geometries()[i], *region, refinement->refined);
     // Where all views follow the same wrong thing they agree; then it has taken more than two exposures to outvote
     // them.
     const bool outvoted = other && refinement->outvoted;
     const bool unplaced = region && tracks.templateStamp(i) != view->reference_stamp;
     const bool elsewhere = other && (estimate.state == MotionState::INCONSISTENT || unplaced);
-    // What hid the target when the template was learnt was learnt with it.
-    if (region && view->reference_stamp != astray.judged)
-    {
-      astray.judged = view->reference_stamp;
-      astray.spoilt = hidden;
-    }
     // What hides the target now is not to be learnt.
-    astray.exposures = hidden                                           ? 0
-                       : outvoted                                       ? kAstrayExposures
-                       : lost || elsewhere || (region && astray.spoilt) ? astray.exposures + 1
-                                                                        : 0;
+    astray.exposures = tracks.isHidden(i)            ? 0
+                       : outvoted                    ? kAstrayExposures
+                       : lost || elsewhere || spoilt ? astray.exposures + 1
+                                                     : 0;
     if (region && astray.exposures >= kAstrayExposures)
     {
       const Eigen::Vector2i& size = tracks.geometries()[i].imageSize();
@@ -91,7 +93,7 @@ void RegionProposer::place(const TrackedExposure& exposure, const std::pair<std:
   {
     const std::optional<TrackedView>& view = exposure.views[i];
     std::optional<std::int64_t>& stated = astray_[i].stated;
-    if (!stated || !view || exposure.stamp - pose.first > kFresh)
+    if (!stated || !view || tracks.isHidden(i) || exposure.stamp - pose.first > kFresh)
     {
       continue;
     }

@@ -12,36 +12,51 @@ namespace
 /// Of the usual similarity: rods of 5 to 50 px in a region of 89 px leave 0.1 to 0.25 of it (phantom, on which this was
 /// chosen), finer or coarser images 0.8.
 constexpr double kLeast = 0.5;
-/// Of the difference, in each registration: slower than anything passes.
-constexpr double kAdapting = 0.02;
+/// What is usual falls within so long, which is slower than what is moved in front of a patient [s], and rises by such
+/// a share of the difference with each registration: what hid the target at first is soon told from it.
+constexpr double kFalling = 60.0;
+constexpr double kRising = 0.3;
 }  // namespace
 
-std::vector<double> oneAView(const std::vector<double>& compared, const std::vector<bool>& without)
+std::vector<double> ofViews(const std::vector<double>& figures, const std::vector<std::string>& compared,
+                            const std::vector<std::string>& views)
 {
-  const auto count = static_cast<std::size_t>(std::count(without.begin(), without.end(), false));
-  std::vector<double> figures;
-  for (std::size_t i = 0, next = 0; compared.size() == count && i < without.size(); ++i)
+  if (figures.size() != compared.size())
   {
-    figures.push_back(without[i] ? std::numeric_limits<double>::quiet_NaN() : compared[next++]);
+    return {};
   }
-  return figures;
+  std::vector<double> result;
+  for (const std::string& view : views)
+  {
+    const auto found = std::find(compared.begin(), compared.end(), view);
+    result.push_back(found == compared.end() ? std::numeric_limits<double>::quiet_NaN()
+                                             : figures[static_cast<std::size_t>(found - compared.begin())]);
+  }
+  return result;
 }
 
-std::vector<bool> ViewClarity::hidden(const std::vector<double>& similarities)
+std::vector<bool> ViewClarity::hidden(const std::vector<double>& similarities, std::int64_t stamp)
 {
-  usual_.resize(similarities.size());
   std::vector<bool> result(similarities.size(), false);
+  if (similarities.empty())
+  {
+    return result;
+  }
+  const double elapsed = last_stamp_ ? std::max(0.0, 1e-9 * static_cast<double>(stamp - *last_stamp_)) : 0.0;
+  last_stamp_ = stamp;
+  usual_.resize(similarities.size());
   for (std::size_t i = 0; i < similarities.size(); ++i)
   {
-    if (!std::isfinite(similarities[i]))
+    const double similarity = similarities[i];
+    if (!(std::abs(similarity) <= 1.0))
     {
       continue;
     }
-    double& usual = usual_[i] ? *usual_[i] : usual_[i].emplace(similarities[i]);
-    result[i] = similarities[i] < kLeast * usual;
+    double& usual = usual_[i] ? *usual_[i] : usual_[i].emplace(similarity);
+    result[i] = usual > 0.0 && similarity < kLeast * usual;
     if (!result[i])
     {
-      usual += kAdapting * (similarities[i] - usual);
+      usual += (similarity > usual ? kRising : 1.0 - std::exp(-elapsed / kFalling)) * (similarity - usual);
     }
   }
   return result;

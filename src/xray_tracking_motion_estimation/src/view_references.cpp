@@ -1,5 +1,6 @@
 #include "xray_tracking_motion_estimation/view_references.h"
 
+#include <algorithm>
 #include <cstdlib>
 #include <limits>
 
@@ -20,12 +21,6 @@ bool isOf(const ViewReference& reference, const TrackedView& tracked)
          (!reference.anchor || reference.anchor->centre == tracked.track.centre);
 }
 }  // namespace
-
-bool coverTheSame(const cv::Rect& a, const cv::Rect& b)
-{
-  const int common = (a & b).area();
-  return 2 * common > a.area() + b.area() - common;
-}
 
 ViewReferences::ViewReferences(std::size_t views) : history_(kHistoryCapacity), references_(views) {}
 
@@ -96,14 +91,18 @@ void ViewReferences::anchor(std::size_t view, const TrackedView& tracked, const 
     // Learnt at a pose that is not known: what was learnt may be something that has passed in front of the target
     // since.
     const cv::Rect now = tracked.region + cv::Point(cvRound(track.displacement.x()), cvRound(track.displacement.y()));
-    const bool alike = expected && expected->size() == now.size();
-    if (alike && !coverTheSame(*expected, now))
+    if (expected && 2 * (*expected & now).area() <= std::min(expected->area(), now.area()))
     {
       return;
     }
     // Where the one before would be, as what is off in many such tracks adds up.
-    reference =
-        ViewReference{ tracked.reference_stamp, alike ? *expected : now, room_from_patient, {}, {}, stamp, true };
+    reference = ViewReference{ tracked.reference_stamp,
+                               expected && expected->size() == now.size() ? *expected : now,
+                               room_from_patient,
+                               {},
+                               {},
+                               stamp,
+                               true };
   }
   reference->room_from_patient = room_from_patient;
   reference->anchor = track;

@@ -66,9 +66,10 @@ TEST_F(ClaimTest, ABelievedRegistrationConfirmsIt)
   EXPECT_FALSE(monitor->takeDecision());  // each exposure once
   // Tracks count from there, as do displacements from the planned place.
   expectPose(unregistered({ 0.5, 0.0, 0.0 }), PoseSource::TRACKED, { 12.5, 0.0, 0.0 }, 1e-3);
-  for (int i = 0; i < 6; ++i)
+  EXPECT_EQ(GateReason::UNCERTAIN, monitor->gate().reason()) << "known to 0.52 mm";
+  for (int i = 0; i < 7; ++i)
   {
-    EXPECT_EQ(monitor->gate().open(), i > 3) << monitor->gate().text();
+    EXPECT_EQ(monitor->gate().open(), i > 4) << monitor->gate().text();
     expectPose(registered({ 0.5, 0.0, 0.0 }, truth), PoseSource::REGISTERED, { 12.5, 0.0, 0.0 }, kExact);
   }
 }

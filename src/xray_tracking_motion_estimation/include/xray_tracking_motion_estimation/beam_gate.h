@@ -23,7 +23,7 @@ enum class GateReason : std::uint8_t
   INCONSISTENT = 3,  ///< its views contradict each other
   STALE = 4,         ///< the latest exposure is too old
   BAD_STAMP = 5,     ///< it is stamped in the future, or no later than the one before
-  UNCERTAIN = 6,     ///< its covariance is over the bound, or a track is degraded
+  UNCERTAIN = 6,     ///< its covariance is over the bound, or there is a doubt (GateExposure::doubt)
   DISPLACED = 7,     ///< the target is too far from where it should be, or turned too much
   JUMP = 8,          ///< the target moved faster than a body does, which nothing has confirmed so far
   CONFIRMING = 9,    ///< good, but not for long enough

@@ -93,6 +93,15 @@ public:
   /// In the last estimate.
   const Doubt& doubt(std::size_t view) const { return doubts_[view]; }
 
+  /// Whether the last accepted refinement did not see the target in a view; it takes no part until one does.
+  bool isHidden(std::size_t view) const { return hidden_[view]; }
+  /// Whether the first refinement accepted with a view's template did not see the target: what hid it may have been
+  /// learnt. The view takes no part until it has learnt anew.
+  bool isSpoilt(std::size_t view, const TrackedView& tracked) const
+  {
+    return first_seen_[view].template_stamp == tracked.reference_stamp && first_seen_[view].hidden;
+  }
+
   /// When a view's latest template whose pose is known was learnt [ns]; nothing if there is none.
   std::optional<std::int64_t> templateStamp(std::size_t view) const { return references_.templateStamp(view); }
   /// Where a view's region would have to be, with the patient there; nothing if that is not known. @return [px]
@@ -122,6 +131,14 @@ private:
   ConsistencyMonitor rigid_consistency_;  ///< refuses nothing
   ViewReferences references_;
   std::vector<Doubt> doubts_;
+  std::vector<bool> hidden_;
+  /// What the first refinement that was accepted with a view's template saw.
+  struct FirstSeen
+  {
+    std::optional<std::int64_t> template_stamp{};  ///< [ns]
+    bool hidden = false;
+  };
+  std::vector<FirstSeen> first_seen_;
   std::vector<std::optional<ViewMeasurement>> measurements_;
   std::int64_t started_ = 0;
   std::int64_t first_heard_ = 0;

@@ -137,7 +137,8 @@ private:
   ros::ServiceServer hold_beam_server_;
   ros::Subscriber operator_subscriber_;
   std::unique_ptr<AlignmentServer> alignment_server_;
-  RefinementRequest asked_{};                 ///< the request that the registration is at
+  std::uint64_t asked_ = 0;                   ///< the request that the registration is at
+  std::vector<std::string> compared_;         ///< the detectors that it is to compare, in the setup file's order
   std::optional<RefinementRequest> waiting_;  ///< the one that it is asked next
   std::unique_ptr<ServiceCaller<RefinePose>> registration_;
   diagnostic_updater::Updater updater_;

@@ -57,8 +57,6 @@ private:
     int exposures = 0;                       ///< in a row
     std::optional<std::int64_t> proposed{};  ///< stamp of the last proposal
     std::optional<std::int64_t> stated{};    ///< templates of no later stamp are to be learnt anew
-    std::optional<std::int64_t> judged{};    ///< the template that `spoilt` is of, by its stamp [ns]
-    bool spoilt = false;                     ///< the first registration after it was learnt did not see the target
   };
   void propose(std::size_t view, const cv::Rect& region, std::int64_t stamp);
   /// Whether a view's track is far from where the registration sees the target. @param region its, there [px]

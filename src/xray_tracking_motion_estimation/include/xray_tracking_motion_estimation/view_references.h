@@ -12,10 +12,6 @@
 
 namespace xray_tracking
 {
-/// Whether two regions have more than half of what either covers in common: a region that somebody has drawn around the
-/// target is that good, and one that is off by half of its width is not.
-bool coverTheSame(const cv::Rect& a, const cv::Rect& b);
-
 /// What a view's tracks are relative to.
 struct ViewReference
 {

@@ -144,7 +144,8 @@ void MotionEstimationRos::start()
         nh_, "refine_pose",
         [this](const std::optional<RefinePose::Response>& response, const std::string& why)
         {
-          monitor_->onReply(replyFrom(asked_, response, why), steadyNanoseconds());
+          monitor_->onReply(replyFrom(asked_, response, why, compared_, parameters_.monitor.tracks.views),
+                            steadyNanoseconds());
           const std::optional<RefinementRequest> waiting = std::exchange(waiting_, std::nullopt);
           if (waiting && monitor_->refinement().pending() == waiting->id)
           {
@@ -405,7 +406,15 @@ void MotionEstimationRos::ask(const RefinementRequest& request)
   }
   if (registration_->call(message))
   {
-    asked_ = request;
+    asked_ = request.id;
+    compared_.clear();
+    for (const ProjectionGeometry& detector : setup_.detectors)
+    {
+      if (std::count(message.request.without.begin(), message.request.without.end(), detector.name()) == 0)
+      {
+        compared_.push_back(detector.name());
+      }
+    }
   }
   else
   {

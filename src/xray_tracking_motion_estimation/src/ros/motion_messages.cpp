@@ -57,11 +57,11 @@ std::string statusInWords(std::uint8_t status)
 }
 }  // namespace
 
-RefinementReply replyFrom(const RefinementRequest& request, const std::optional<RefinePose::Response>& response,
-                          const std::string& why)
+RefinementReply replyFrom(std::uint64_t id, const std::optional<RefinePose::Response>& response, const std::string& why,
+                          const std::vector<std::string>& compared, const std::vector<std::string>& views)
 {
   RefinementReply reply;
-  reply.id = request.id;
+  reply.id = id;
   reply.text = why;
   if (!response)
   {
@@ -89,7 +89,7 @@ RefinementReply replyFrom(const RefinementRequest& request, const std::optional<
       }
       reply.pull = std::max(reply.pull, kMillimetresPerMetre * view.pull);
     }
-    reply.view_similarities = oneAView(similarities, request.without);
+    reply.view_similarities = ofViews(similarities, compared, views);
     reply.success = true;
   }
   catch (const std::exception& error)  // of a pose that is none

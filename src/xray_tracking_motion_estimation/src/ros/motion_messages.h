@@ -20,7 +20,9 @@ geometry_msgs::PoseWithCovarianceStamped poseStampedFrom(std::int64_t stamp, con
                                                          const PoseCovariance& covariance);
 
 /// The answer to a request. @param why there is no response, if there is none
-RefinementReply replyFrom(const RefinementRequest& request,
-                          const std::optional<xray_tracking_msgs::RefinePose::Response>& response,
-                          const std::string& why);
+/// @param compared the detectors that the registration was to compare, in the order of its figures; @param views the
+/// monitor's
+RefinementReply replyFrom(std::uint64_t id, const std::optional<xray_tracking_msgs::RefinePose::Response>& response,
+                          const std::string& why, const std::vector<std::string>& compared,
+                          const std::vector<std::string>& views);
 }  // namespace xray_tracking

@@ -177,7 +177,16 @@ RefinementReply OfflineRun::registered(const RefinementRequest& request)
   std::vector<double> similarities;
   std::transform(result.views.begin(), result.views.end(), std::back_inserter(similarities),
                  [](const ViewResidual& view) { return view.similarity; });
-  reply.view_similarities = oneAView(similarities, request.without);
+  std::vector<std::string> names, compared;
+  for (std::size_t d = 0; d < views_.size(); ++d)
+  {
+    names.push_back(setup_.detectors[d].name());
+    if (!request.without[d])
+    {
+      compared.push_back(names.back());
+    }
+  }
+  reply.view_similarities = ofViews(similarities, compared, names);
   return reply;
 }
 }  // namespace xray_tracking
