@@ -86,6 +86,14 @@ TEST_F(DicomExtentTest, LengthsBeyondTheFileAndDeepSequences)
   meta = head;
   meta.replace(meta.find("UI"), 2, "SQ");
   EXPECT_EQ(extentOf(meta).state, State::UNSAFE);
+  for (const auto& [vr, state] : { std::pair("OB", State::WHOLE), std::pair("OD", State::UNSAFE) })
+  {
+    EXPECT_EQ(extentOf(head + tag(0x7FE0, 0x0010) + vr + std::string(2, '\0') + number(0xFFFFFFFF) +
+                       tag(0xFFFE, 0xE000) + number(0) + tag(0xFFFE, 0xE0DD) + number(0))
+                  .state,
+              state)
+        << vr;
+  }
   EXPECT_EQ(extentOf("no DICOM").state, State::NO_DICOM);
   EXPECT_EQ(extentOf("").state, State::NO_DICOM);
   EXPECT_EQ(dicomExtent(folder_.path("absent")).state, State::NO_DICOM);

@@ -207,6 +207,11 @@ std::string lettersOf(const Eigen::Matrix3d& axes, bool from)
 void requireBoundedCompression(const std::string& data, const std::string& path)
 {
   const fs::path data_file = fs::path(path).parent_path() / data;
+  const bool is_one_file = data.rfind("LIST", 0) != 0 && data.find('%') == std::string::npos;
+  if (is_one_file && data != "LOCAL" && data != "Local" && data != "local" && !fs::is_regular_file(data_file))
+  {
+    failCt(path, "ElementDataFile is " + data.substr(0, 80) + ", which is no file in its folder");
+  }
   const std::uintmax_t most =
       std::max(fs::file_size(path), fs::is_regular_file(data_file) ? fs::file_size(data_file) : 0);
   std::ifstream file(path, std::ios::binary);

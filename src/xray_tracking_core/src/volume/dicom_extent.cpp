@@ -322,6 +322,10 @@ private:
       {
         irregular(element.tag, "has no length");
       }
+      if (fragments && is_explicit && !isOneOf(element.vr, "OB OW UN"))
+      {
+        irregular(element.tag, "is in fragments, which its VR has none of");
+      }
       // Of unknown VR: implicit within, by the standard.
       items(end, true, is_explicit && element.vr != "UN", fragments, depth + 1);
       return;

@@ -39,7 +39,9 @@ MotionModel modelNamed(const std::string& name)
 
 void TrackerParameters::scaleTo(double pixel)
 {
-  tracker.reduction = static_cast<int>(std::clamp(std::round(resolution / pixel), 1.0, 64.0));
+  const double pixels = resolution / pixel;
+  // Of no number one: validate() refuses it.
+  tracker.reduction = pixels > 1.0 ? static_cast<int>(std::min(std::round(pixels), 64.0)) : 1;
   const double unit = tracker.reduction * pixel;
   tracker.ranges = ranges;
   for (double& range : tracker.ranges)
