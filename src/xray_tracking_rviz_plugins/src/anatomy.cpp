@@ -374,8 +374,9 @@ Anatomy cachedAnatomy(const AnatomySource& source, const std::string& folder, co
     ctBelow(source.ct_path, *source.data_folder);
   }
   // Paths and UIDs do not go into the cache.
-  const std::string key =
-      QCryptographicHash::hash(QByteArray::fromStdString(source.key()), QCryptographicHash::Sha256).toHex().toStdString();
+  const std::string key = QCryptographicHash::hash(QByteArray::fromStdString(source.key()), QCryptographicHash::Sha256)
+                              .toHex()
+                              .toStdString();
   const fs::path file = fs::path(folder) / (key.substr(0, 16) + ".anatomy");
   {
     std::ifstream in(file.string(), std::ios::binary);

@@ -43,7 +43,7 @@ std::string ctBelow(const std::string& path, const std::string& folder)
       if (file.native().find('\0') != std::string::npos || !isBelow(fs::weakly_canonical(file), root))
       {
         failCt(path.c_str(), what + "leads out of the data folder " + root.string() +
-                         ", expected a CT below it (parameter data_folder)");
+                                 ", expected a CT below it (parameter data_folder)");
       }
     };
     require(root / path, "");
