@@ -20,9 +20,9 @@ constexpr double kCalibration = 2.5;
 // Of the covariance, what is taken from the information matrix, scaled to the tiles' spread: shrinkage as by Ledoit and
 // Wolf, J. Multivariate Anal. 88 (2004). Chosen on the phantom's standard set.
 constexpr double kSteadied = 0.5;
-// With this factor the squared error in units of the covariance averages 6.4 for its 6 degrees of freedom on the set half
-// of random sequences 7001 to 7140 (docs/evaluation.md), and 3.9 on the phantom's standard set, whose physics are one;
-// judged on other sequences and on real anatomy (docs/registration_measurements.md).
+// With this factor the squared error in units of the covariance averages 6.4 for its 6 degrees of freedom on the set
+// half of random sequences 7001 to 7140 (docs/evaluation.md), and 3.9 on the phantom's standard set, whose physics are
+// one; judged on other sequences and on real anatomy (docs/registration_measurements.md).
 constexpr double kSteadiedCalibration = 1.8;
 
 /// Gradient of one tile of a view.
