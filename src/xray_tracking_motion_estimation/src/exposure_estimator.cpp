@@ -141,7 +141,7 @@ void ExposureEstimator::accept(const Refinement& refinement, const TrackedExposu
   for (std::size_t i = 0; i < exposure.views.size(); ++i)
   {
     const std::optional<TrackedView>& view = exposure.views[i];
-    hidden_[i] = refinement.isHidden(i);
+    hidden_[i] = i < refinement.hidden.size() && refinement.hidden[i];
     if (view && !view->region.empty() && first_seen_[i].template_stamp != view->reference_stamp)
     {
       first_seen_[i] = { view->reference_stamp, hidden_[i] };

@@ -428,9 +428,8 @@ std::string MotionMonitor::doubtOfRegistered() const
   std::size_t seeing = 0;
   for (std::size_t i = 0; i < names.size(); ++i)
   {
-    const bool is_hidden = current_->refinement->isHidden(i);
-    hidden = is_hidden ? names[i] : hidden;
-    seeing += is_hidden || current_->without[i] ? 0 : 1;
+    hidden = tracks_.isHidden(i) ? names[i] : hidden;
+    seeing += tracks_.isHidden(i) || current_->without[i] ? 0 : 1;
   }
   if (!hidden.empty() && seeing < 2)
   {

@@ -35,16 +35,23 @@ std::vector<double> ofViews(const std::vector<double>& figures, const std::vecto
   return result;
 }
 
-std::vector<bool> ViewClarity::hidden(const std::vector<double>& similarities, std::int64_t stamp)
+void ViewClarity::restart()
 {
-  std::vector<bool> result(similarities.size(), false);
+  usual_.clear();
+  hidden_.clear();
+  last_stamp_.reset();
+}
+
+const std::vector<bool>& ViewClarity::hidden(const std::vector<double>& similarities, std::int64_t stamp)
+{
   if (similarities.empty())
   {
-    return result;
+    return hidden_;
   }
   const double elapsed = last_stamp_ ? std::max(0.0, 1e-9 * static_cast<double>(stamp - *last_stamp_)) : 0.0;
   last_stamp_ = stamp;
   usual_.resize(similarities.size());
+  hidden_.resize(similarities.size(), false);
   for (std::size_t i = 0; i < similarities.size(); ++i)
   {
     const double similarity = similarities[i];
@@ -53,12 +60,12 @@ std::vector<bool> ViewClarity::hidden(const std::vector<double>& similarities, s
       continue;
     }
     double& usual = usual_[i] ? *usual_[i] : usual_[i].emplace(similarity);
-    result[i] = usual > 0.0 && similarity < kLeast * usual;
-    if (!result[i])
+    hidden_[i] = usual > 0.0 && similarity < kLeast * usual;
+    if (!hidden_[i])
     {
       usual += (similarity > usual ? kRising : 1.0 - std::exp(-elapsed / kFalling)) * (similarity - usual);
     }
   }
-  return result;
+  return hidden_;
 }
 }  // namespace xray_tracking

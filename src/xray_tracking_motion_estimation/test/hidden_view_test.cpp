@@ -71,14 +71,26 @@ TEST_F(ViewClarityTest, WhatHidTheTargetAtFirstIsSoonTold)
   EXPECT_EQ((Views{ true, false }), look(0.14, 0.9));
 }
 
+TEST_F(ViewClarityTest, WhatWasNotComparedStaysAsItWas)
+{
+  const double blind = std::numeric_limits<double>::quiet_NaN();
+  look(0.9, 0.9);
+  EXPECT_EQ((Views{ true, false }), look(0.14, 0.9));
+  EXPECT_EQ((Views{ true, false }), look(blind, 0.9)) << "what hid it may still be there";
+  EXPECT_EQ((Views{ true, false }), clarity_.hidden({}, stamp_));
+  EXPECT_EQ((Views{ false, false }), look(0.9, 0.9));
+  EXPECT_EQ((Views{ false, false }), look(blind, 0.9));
+}
+
 TEST_F(ViewClarityTest, NumbersThatAreNoSimilaritiesTellNothing)
 {
   look(0.9, 0.9);
   for (const double wrong : { std::numeric_limits<double>::quiet_NaN(), 1e6, -1e6 })
   {
     EXPECT_EQ((Views{ false, false }), look(wrong, 0.9));
-    EXPECT_TRUE(clarity_.hidden({}, stamp_).empty());
+    EXPECT_EQ((Views{ false, false }), clarity_.hidden({}, stamp_));
     EXPECT_EQ((Views{ true, false }), look(0.14, 0.9));
+    EXPECT_EQ((Views{ false, false }), look(0.9, 0.9));
   }
   clarity_.restart();
   EXPECT_EQ((Views{ false, false }), look(-0.3, 0.9));

@@ -42,11 +42,10 @@ void requireBytes(const std::string& path, const fs::path& data, std::uintmax_t 
 void requireAllOfMetaImage(const itk::ImageIOBase& format, const std::string& path)
 {
   TextHeader header = readMetaImageHeader(path);
-  const std::string data = header.fields["ElementDataFile"];
-  const fs::path data_file = data == "LOCAL" ? fs::path(path) : fs::path(path).parent_path() / data;
-  if (!fs::is_regular_file(data_file))
+  const std::optional<std::string> data_file = metaImageDataFile(header, path);
+  if (!data_file)
   {
-    return;  // many files, by a list or a pattern; ITK misses those that are not there
+    return;  // many files; ITK misses those that are not there
   }
   std::uintmax_t expected = static_cast<std::uintmax_t>(format.GetImageSizeInBytes());
   if (header.fields["CompressedData"] == "True")
@@ -56,7 +55,7 @@ void requireAllOfMetaImage(const itk::ImageIOBase& format, const std::string& pa
     std::istringstream(header.fields["CompressedDataSize"]) >> expected;
     expected = std::max(expected, least);
   }
-  requireBytes(path, data_file, data == "LOCAL" ? static_cast<std::uintmax_t>(header.end) : 0, expected);
+  requireBytes(path, *data_file, *data_file == path ? static_cast<std::uintmax_t>(header.end) : 0, expected);
 }
 
 void requireAllOfNrrd(const itk::ImageIOBase& format, const std::string& path)
@@ -204,16 +203,10 @@ std::string lettersOf(const Eigen::Matrix3d& axes, bool from)
 
 /// ITK takes as much memory as CompressedDataSize says before it reads, whatever that is, and finds it in lines that
 /// are none of a header to us.
-void requireBoundedCompression(const std::string& data, const std::string& path)
+/// @param data_file with the voxels, if that is one
+void requireBoundedCompression(const std::optional<std::string>& data_file, const std::string& path)
 {
-  const fs::path data_file = fs::path(path).parent_path() / data;
-  const bool is_one_file = data.rfind("LIST", 0) != 0 && data.find('%') == std::string::npos;
-  if (is_one_file && data != "LOCAL" && data != "Local" && data != "local" && !fs::is_regular_file(data_file))
-  {
-    failCt(path, "ElementDataFile is " + data.substr(0, 80) + ", which is no file in its folder");
-  }
-  const std::uintmax_t most =
-      std::max(fs::file_size(path), fs::is_regular_file(data_file) ? fs::file_size(data_file) : 0);
+  const std::uintmax_t most = std::max(fs::file_size(path), data_file ? fs::file_size(*data_file) : 0);
   std::ifstream file(path, std::ios::binary);
   const std::string key = "CompressedDataSize";
   for (std::string line; std::getline(file, line);)
@@ -239,7 +232,13 @@ void requireUsableMetaImageHeader(const std::string& path)
 {
   TextHeader header = readMetaImageHeader(path);
   requireBoundedSize(header, "NDims", "DimSize", path);
-  requireBoundedCompression(header.fields["ElementDataFile"], path);
+  const std::optional<std::string> data_file = metaImageDataFile(header, path);
+  if (data_file && !fs::is_regular_file(*data_file))
+  {
+    failCt(path,
+           "ElementDataFile is " + header.fields["ElementDataFile"].substr(0, 80) + ", which is no file in its folder");
+  }
+  requireBoundedCompression(data_file, path);
   const std::string unit = header.fields["DistanceUnits"];
   if (!unit.empty() && unit != "mm" && unit != "?")
   {

@@ -67,9 +67,15 @@ std::string startOf(const std::string& path)
 }
 
 /// @param data what a header names as the file with its voxels
+bool areManyFiles(const std::string& data)
+{
+  return data.find('%') != std::string::npos || lowerCase(data).compare(0, 4, "list") == 0;
+}
+
+/// @param data as above
 std::vector<std::string> withData(const std::string& path, const std::string& data)
 {
-  if (data.empty() || data.find('%') != std::string::npos || lowerCase(data).compare(0, 4, "list") == 0)
+  if (data.empty() || areManyFiles(data))
   {
     failCt(path, "its voxels are in '" + data + "': expected one file");
   }
@@ -105,6 +111,17 @@ std::string dataFileOf(const TextHeader& nrrd)
     }
   }
   return "";
+}
+
+std::optional<std::string> metaImageDataFile(const TextHeader& header, const std::string& path)
+{
+  const auto found = header.fields.find("ElementDataFile");
+  const std::string data = found == header.fields.end() ? "" : found->second;
+  if (lowerCase(data) == "local")
+  {
+    return path;
+  }
+  return areManyFiles(data) ? std::nullopt : std::make_optional((fs::path(path).parent_path() / data).string());
 }
 
 std::vector<std::string> filesOfCt(const std::string& path)

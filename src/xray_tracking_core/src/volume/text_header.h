@@ -2,6 +2,7 @@
 
 #include <ios>
 #include <map>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -20,6 +21,10 @@ TextHeader readMetaImageHeader(const std::string& path);
 
 /// What the header of a NRRD says of a file with its voxels; empty if they follow the header.
 std::string dataFileOf(const TextHeader& nrrd);
+
+/// The file with a MetaImage's voxels, which need not be there; the header's own where they follow it, nothing where a
+/// list or a pattern tells of many. @param path of the header
+std::optional<std::string> metaImageDataFile(const TextHeader& header, const std::string& path);
 
 /// All files that reading a CT opens: those of a folder, a header and its voxels', or the one file.
 /// @throws std::runtime_error naming the path if it is not there, or if its voxels' files are told by a list or a

@@ -109,8 +109,6 @@ struct Refinement
   /// Views in which it does not see the target, see ViewClarity: one a view, or none.
   std::vector<bool> hidden{};
 
-  bool isHidden(std::size_t view) const { return view < hidden.size() && hidden[view]; }
-
   /// What an exposure's tracked pose becomes: the tracked motion of the target since the refined exposure (or from then
   /// back), applied where the target is after all; only if `tracked` is known. For tracks that measure translations
   /// only, multiplying poses by refined * tracked^-1 instead would turn these translations.

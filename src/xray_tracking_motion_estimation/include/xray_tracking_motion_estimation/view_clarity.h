@@ -19,14 +19,16 @@ class ViewClarity
 public:
   /// The views of an accepted registration. @param similarities one a view; not of -1 to 1: it was not compared; none
   /// at all where nothing is known of them; @param stamp of its exposure [ns]
-  /// @return whether each view's similarity is less than half of what it usually is; as many as were given
-  std::vector<bool> hidden(const std::vector<double>& similarities, std::int64_t stamp);
+  /// @return whether each view's similarity was less than half of what it usually is when it was last compared; one a
+  /// view, or none so far
+  const std::vector<bool>& hidden(const std::vector<double>& similarities, std::int64_t stamp);
 
-  /// What is usual is not known any more.
-  void restart() { usual_.clear(); }
+  /// Neither what is usual nor what is hidden is known any more.
+  void restart();
 
 private:
   std::vector<std::optional<double>> usual_;  ///< one a view; nothing of one that was never compared
+  std::vector<bool> hidden_;
   std::optional<std::int64_t> last_stamp_;
 };
 }  // namespace xray_tracking

@@ -153,12 +153,14 @@ RefinementReply OfflineRun::registered(const RefinementRequest& request)
   registration.intensity = setup_.intensity;
   registration.room_from_patient = request.room_from_patient;
   registration.time_budget = std::chrono::duration<double>(kTimeBudget);
+  std::vector<std::string> compared;
   for (std::size_t d = 0; d < views_.size(); ++d)
   {
     if (request.without[d])
     {
       continue;
     }
+    compared.push_back(setup_.detectors[d].name());
     if (!views_[d].image.fault.empty())
     {
       reply.text = setup_.detectors[d].name() + ": " + views_[d].image.fault;
@@ -177,16 +179,7 @@ RefinementReply OfflineRun::registered(const RefinementRequest& request)
   std::vector<double> similarities;
   std::transform(result.views.begin(), result.views.end(), std::back_inserter(similarities),
                  [](const ViewResidual& view) { return view.similarity; });
-  std::vector<std::string> names, compared;
-  for (std::size_t d = 0; d < views_.size(); ++d)
-  {
-    names.push_back(setup_.detectors[d].name());
-    if (!request.without[d])
-    {
-      compared.push_back(names.back());
-    }
-  }
-  reply.view_similarities = ofViews(similarities, compared, names);
+  reply.view_similarities = ofViews(similarities, compared, options_.tracks.views);
   return reply;
 }
 }  // namespace xray_tracking
