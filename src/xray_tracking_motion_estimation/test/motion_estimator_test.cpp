@@ -243,16 +243,10 @@ TEST(Covariance, IsWhatMonteCarloFinds)
       chi_square += estimate.chi_square;
       flagged += estimate.status == EstimateStatus::INCONSISTENT ? 1 : 0;
     }
-    const auto expectBetween = [](double sum, int degrees_of_freedom)
-    {
-      const boost::math::chi_squared distribution(degrees_of_freedom);
-      EXPECT_GT(sum, boost::math::quantile(distribution, 0.025));
-      EXPECT_LT(sum, boost::math::quantile(distribution, 0.975));
-    };
-    expectBetween(normalised_squared_error, 3 * kTrials);
+    expectChiSquare(normalised_squared_error, 3.0 * kTrials, "squared error");
     // 5 % of the good exposures are refused; 95 % bounds of the binomial. Equal covariances make the paper's mean the
     // best one, so that its residuals are those of least squares.
-    expectBetween(chi_square, kTrials);
+    expectChiSquare(chi_square, kTrials, "residuals");
     EXPECT_GT(flagged, 36);
     EXPECT_LT(flagged, 64);
   }
