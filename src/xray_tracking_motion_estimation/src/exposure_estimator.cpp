@@ -42,8 +42,7 @@ ExposureEstimator::ExposureEstimator(const ExposureEstimatorOptions& options, co
     rigid_consistency_(options.rigid_consistency),
     references_(options.views.size()),
     doubts_(options.views.size()),
-    hidden_(options.views.size()),
-    first_seen_(options.views.size()),
+    sights_(options.views.size()),
     measurements_(options.views.size())
 {
 }
@@ -141,10 +140,12 @@ void ExposureEstimator::accept(const Refinement& refinement, const TrackedExposu
   for (std::size_t i = 0; i < exposure.views.size(); ++i)
   {
     const std::optional<TrackedView>& view = exposure.views[i];
-    hidden_[i] = i < refinement.hidden.size() && refinement.hidden[i];
-    if (view && !view->region.empty() && first_seen_[i].template_stamp != view->reference_stamp)
+    ViewSight& sight = sights_[i];
+    sight.hidden = i < refinement.hidden.size() && refinement.hidden[i];
+    if (view && !view->region.empty() && sight.template_stamp != view->reference_stamp)
     {
-      first_seen_[i] = { view->reference_stamp, hidden_[i] };
+      sight.template_stamp = view->reference_stamp;
+      sight.template_hidden = sight.hidden;
     }
     if (doubtOf(i, exposure).state == MotionState::OK)
     {
@@ -166,8 +167,7 @@ void ExposureEstimator::restart()
   consistency_.reset();
   rigid_consistency_.reset();
   doubts_.assign(doubts_.size(), {});
-  hidden_.assign(hidden_.size(), false);
-  first_seen_.assign(first_seen_.size(), {});
+  sights_.assign(sights_.size(), {});
   first_unseen_.reset();
 }
 
@@ -179,6 +179,7 @@ std::optional<MotionMemory> ExposureEstimator::memory() const
   }
   MotionMemory memory;
   memory.references = references_.references();
+  memory.sights = sights_;
   memory.reference = reference_;
   memory.reference_covariance = reference_covariance_;
   return memory;
@@ -186,10 +187,13 @@ std::optional<MotionMemory> ExposureEstimator::memory() const
 
 void ExposureEstimator::takeUp(const MotionMemory& memory)
 {
-  if (memory.references.size() != options_.views.size())
+  for (const std::size_t views : { memory.references.size(), memory.sights.size() })
   {
-    throw std::invalid_argument("there are references of " + std::to_string(memory.references.size()) +
-                                " views, expected " + std::to_string(options_.views.size()));
+    if (views != options_.views.size())
+    {
+      throw std::invalid_argument("what is kept is of " + std::to_string(views) + " views, expected " +
+                                  std::to_string(options_.views.size()));
+    }
   }
   estimator_->setReference(memory.reference, memory.reference_covariance);
   reference_ = memory.reference;
@@ -199,6 +203,7 @@ void ExposureEstimator::takeUp(const MotionMemory& memory)
   rigid_consistency_.reset();
   references_.clear();
   references_.takeUp(memory.references);
+  sights_ = memory.sights;
   references_.add(memory.last_stamp, memory.last_pose);
 }
 
@@ -216,7 +221,7 @@ ExposureEstimator::Doubt ExposureEstimator::doubtOf(std::size_t view, const Trac
     return { MotionState::LOST, name + " is silent" };
   }
   // A track of what hides the target is none of it.
-  if (hidden_[view])
+  if (sights_[view].hidden)
   {
     return { MotionState::LOST, "something hides the target from " + name };
   }

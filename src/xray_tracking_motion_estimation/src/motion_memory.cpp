@@ -1,5 +1,6 @@
 #include "xray_tracking_motion_estimation/motion_memory.h"
 
+#include <cmath>
 #include <stdexcept>
 
 #include <Eigen/Eigenvalues>
@@ -135,14 +136,48 @@ ViewReference referenceFrom(const json& from)
   return reference;
 }
 
+json jsonOf(const ViewSight& sight)
+{
+  return { { "usual", sight.usual ? json(*sight.usual) : json() },
+           { "hidden", sight.hidden },
+           { "template_stamp", sight.template_stamp ? json(*sight.template_stamp) : json() },
+           { "template_hidden", sight.template_hidden } };
+}
+
+ViewSight sightFrom(const json& from)
+{
+  ViewSight sight;
+  if (!from.at("usual").is_null())
+  {
+    sight.usual = from.at("usual").get<double>();
+    if (!(std::abs(*sight.usual) <= 1.0))
+    {
+      throw std::invalid_argument("usual is " + std::to_string(*sight.usual) + ", expected a similarity of -1 to 1");
+    }
+  }
+  sight.hidden = from.at("hidden").get<bool>();
+  if (!from.at("template_stamp").is_null())
+  {
+    sight.template_stamp = from.at("template_stamp").get<std::int64_t>();
+  }
+  sight.template_hidden = from.at("template_hidden").get<bool>();
+  return sight;
+}
+
 json jsonOf(const MotionMemory& motion)
 {
+  json sights = json::array();
+  for (const ViewSight& sight : motion.sights)
+  {
+    sights.push_back(jsonOf(sight));
+  }
   json references = json::array();
   for (const std::optional<ViewReference>& reference : motion.references)
   {
     references.push_back(reference ? jsonOf(*reference) : json());
   }
   return { { "references", references },
+           { "sights", sights },
            { "reference", jsonOf(motion.reference) },
            { "reference_covariance", jsonOf(motion.reference_covariance) },
            { "last_stamp", motion.last_stamp },
@@ -156,6 +191,10 @@ MotionMemory motionFrom(const json& from)
   for (const json& reference : from.at("references"))
   {
     motion.references.push_back(reference.is_null() ? std::nullopt : std::make_optional(referenceFrom(reference)));
+  }
+  for (const json& sight : from.at("sights"))
+  {
+    motion.sights.push_back(sightFrom(sight));
   }
   motion.reference = poseFrom(from.at("reference"), "reference");
   motion.reference_covariance = covarianceFrom(from.at("reference_covariance"), "reference_covariance");
@@ -216,10 +255,12 @@ RunMemory runMemoryFrom(const std::string& text)
     if (!all.at("motion").is_null())
     {
       memory.motion = motionFrom(all.at("motion"));
-      if (memory.motion->references.size() != memory.detectors.size())
+      if (memory.motion->references.size() != memory.detectors.size() ||
+          memory.motion->sights.size() != memory.detectors.size())
       {
         throw std::invalid_argument("references are of " + std::to_string(memory.motion->references.size()) +
-                                    " views, expected one a detector");
+                                    " views, sights of " + std::to_string(memory.motion->sights.size()) +
+                                    ", expected one a detector");
       }
     }
     memory.hold = all.at("hold").get<std::string>();

@@ -10,6 +10,10 @@ std::optional<MotionMemory> MotionMonitor::memory() const
   {
     return std::nullopt;
   }
+  for (std::size_t i = 0; i < clarity_.usual().size(); ++i)
+  {
+    memory->sights.at(i).usual = clarity_.usual()[i];
+  }
   memory->last_stamp = last_pose_->first;
   memory->last_pose = last_pose_->second;
   memory->doubt = gate_.verification().fault();
@@ -19,6 +23,7 @@ std::optional<MotionMemory> MotionMonitor::memory() const
 void MotionMonitor::takeUp(const MotionMemory& memory)
 {
   tracks_.takeUp(memory);
+  clarity_.takeUp(memory.sights, memory.last_stamp);
   last_pose_ = { memory.last_stamp, memory.last_pose };
   last_was_registered_ = false;
   last_seen_ = memory.last_stamp;

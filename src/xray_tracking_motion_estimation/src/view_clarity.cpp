@@ -35,6 +35,18 @@ std::vector<double> ofViews(const std::vector<double>& figures, const std::vecto
   return result;
 }
 
+void ViewClarity::takeUp(const std::vector<ViewSight>& sights, std::int64_t stamp)
+{
+  usual_.clear();
+  hidden_.clear();
+  for (const ViewSight& sight : sights)
+  {
+    usual_.push_back(sight.usual);
+    hidden_.push_back(sight.hidden);
+  }
+  last_stamp_ = stamp;
+}
+
 void ViewClarity::restart()
 {
   usual_.clear();

@@ -39,6 +39,7 @@ RunMemory someMemory()
   reference.anchor_stamp = 1700000000987654321;
   reference.registered = true;
   motion.references = { reference, std::nullopt };
+  motion.sights = { { 0.1 + 0.2, true, 1700000000123456789, true }, {} };
   motion.reference = moved(initialPose(), { 1.0 / 7.0, 0.0, 0.0 });
   motion.reference_covariance = 0.01 * Matrix6d::Identity();
   motion.last_stamp = 1700000001123456789;
@@ -72,6 +73,15 @@ TEST(MotionMemory, ComesBackAsItWas)
   EXPECT_EQ(reference.anchor->warp(), someTrack().warp());
   EXPECT_EQ(reference.anchor->centre, someTrack().centre);
   EXPECT_EQ(reference.anchor->covariance, someTrack().covariance);
+  ASSERT_EQ(is.motion->sights.size(), 2u);
+  EXPECT_EQ(is.motion->sights[0].usual, 0.1 + 0.2);
+  EXPECT_TRUE(is.motion->sights[0].hidden);
+  EXPECT_EQ(is.motion->sights[0].template_stamp, 1700000000123456789);
+  EXPECT_TRUE(is.motion->sights[0].template_hidden);
+  EXPECT_FALSE(is.motion->sights[1].usual);
+  EXPECT_FALSE(is.motion->sights[1].hidden);
+  EXPECT_FALSE(is.motion->sights[1].template_stamp);
+  EXPECT_FALSE(is.motion->sights[1].template_hidden);
   EXPECT_EQ(is.motion->reference.matrix(), was.motion->reference.matrix());
   EXPECT_EQ(is.motion->reference_covariance, was.motion->reference_covariance);
   EXPECT_EQ(is.motion->last_stamp, was.motion->last_stamp);
@@ -99,6 +109,12 @@ TEST(MotionMemory, WhatIsNoneIsRefused)
   refused(memory);
   memory = someMemory();
   memory.motion->references.pop_back();
+  refused(memory);
+  memory = someMemory();
+  memory.motion->sights.pop_back();
+  refused(memory);
+  memory = someMemory();
+  memory.motion->sights[0].usual = 1.5;
   refused(memory);
   EXPECT_THROW(runMemoryFrom(""), std::invalid_argument);
   EXPECT_THROW(runMemoryFrom("[1, 2]"), std::invalid_argument);

@@ -137,6 +137,40 @@ TEST_F(TakenUpTest, AnotherRegionOfTheSameExposureIsAnotherTemplate)
   expectNone(decision(), MotionState::NO_REFERENCE, "detector_a");
 }
 
+/// Nobody learns anew, or follows, what was in front of a view when the node died.
+TEST_F(TakenUpTest, WhatHidTheTargetIsKnownStill)
+{
+  const auto see = [this](double first_similarity)
+  {
+    expose({ 0.0, 0.0, 0.0 });
+    RefinementReply reply = believed(request().id, { 0.0, 0.0, 0.0 });
+    reply.view_similarities = { first_similarity, 0.9 };
+    monitor->onReply(reply, now);
+    return decision();
+  };
+  const auto tracked_alone = [this]
+  {
+    expose({ 0.0, 0.0, 0.0 });
+    monitor->onReply(doubted(request().id), now);
+    return decision();
+  };
+  start();
+  see(0.9);
+  see(0.9);
+  trained[0].first = stamp;
+  see(0.14);
+  die();
+  EXPECT_TRUE(monitor->tracks().isHidden(0));
+  see(0.14);
+  see(0.14);
+  EXPECT_TRUE(monitor->tracks().isHidden(0)) << "its usual similarity is known still";
+  expectNone(tracked_alone(), MotionState::LOST, "hides the target from detector_a");
+  see(0.9);
+  see(0.9);
+  EXPECT_FALSE(monitor->tracks().isHidden(0));
+  expectNone(tracked_alone(), MotionState::LOST, "while something hid the target");
+}
+
 TEST_F(MonitorTest, NothingIsKeptBeforeThereIsAPose)
 {
   start();

@@ -73,7 +73,8 @@ public:
   /// As at first, but for the geometry.
   void restart();
 
-  /// What to go on with elsewhere, but for the last pose; nothing if no pose is known.
+  /// What to go on with elsewhere, but for the last pose and the views' usual similarities; nothing if no pose is
+  /// known.
   std::optional<MotionMemory> memory() const;
   /// With a geometry; the same one. Templates that the memory does not know have no reference.
   /// @throws std::invalid_argument if it is of another number of views, or its pose is of no use
@@ -94,12 +95,12 @@ public:
   const Doubt& doubt(std::size_t view) const { return doubts_[view]; }
 
   /// Whether the last accepted refinement did not see the target in a view; it takes no part until one does.
-  bool isHidden(std::size_t view) const { return hidden_[view]; }
+  bool isHidden(std::size_t view) const { return sights_[view].hidden; }
   /// Whether the first refinement accepted with a view's template did not see the target: what hid it may have been
   /// learnt. The view takes no part until it has learnt anew.
   bool isSpoilt(std::size_t view, const TrackedView& tracked) const
   {
-    return first_seen_[view].template_stamp == tracked.reference_stamp && first_seen_[view].hidden;
+    return sights_[view].template_stamp == tracked.reference_stamp && sights_[view].template_hidden;
   }
 
   /// When a view's latest template whose pose is known was learnt [ns]; nothing if there is none.
@@ -131,14 +132,7 @@ private:
   ConsistencyMonitor rigid_consistency_;  ///< refuses nothing
   ViewReferences references_;
   std::vector<Doubt> doubts_;
-  std::vector<bool> hidden_;
-  /// What the first refinement that was accepted with a view's template saw.
-  struct FirstSeen
-  {
-    std::optional<std::int64_t> template_stamp{};  ///< [ns]
-    bool hidden = false;
-  };
-  std::vector<FirstSeen> first_seen_;
+  std::vector<ViewSight> sights_;  ///< but for what is usual
   std::vector<std::optional<ViewMeasurement>> measurements_;
   std::int64_t started_ = 0;
   std::int64_t first_heard_ = 0;

@@ -7,6 +7,7 @@
 
 #include "xray_tracking_core/geometry/projection_geometry.h"
 #include "xray_tracking_motion_estimation/pose_covariance.h"
+#include "xray_tracking_motion_estimation/view_clarity.h"
 #include "xray_tracking_motion_estimation/view_references.h"
 
 namespace xray_tracking
@@ -17,6 +18,7 @@ struct MotionMemory
 {
   /// What each view's track is relative to; nothing of a view that has not been tracked.
   std::vector<std::optional<ViewReference>> references;
+  std::vector<ViewSight> sights;                          ///< one a view
   RigidTransform reference = RigidTransform::Identity();  ///< ExposureEstimator::reference()
   Matrix6d reference_covariance = Matrix6d::Zero();       ///< of the target's centre [mm] and rotation [rad]
   std::int64_t last_stamp = 0;                            ///< of the last exposure with a pose [ns]

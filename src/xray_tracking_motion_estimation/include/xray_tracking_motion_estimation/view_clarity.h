@@ -12,6 +12,16 @@ namespace xray_tracking
 std::vector<double> ofViews(const std::vector<double>& figures, const std::vector<std::string>& compared,
                             const std::vector<std::string>& views);
 
+/// What accepted registrations have seen of the target in a view.
+struct ViewSight
+{
+  std::optional<double> usual{};  ///< its similarity, usually; nothing if it was never compared
+  bool hidden = false;            ///< it did not show the target when it was last compared
+  /// The latest template that a registration was accepted with [ns], and whether the first such did not see the target.
+  std::optional<std::int64_t> template_stamp{};
+  bool template_hidden = false;
+};
+
 /// Tells from what registrations say of their views whether a view shows the target: what passes in front of it, as an
 /// instrument does, leaves the pose to the other views, and is not to be learnt for the target. No clock.
 class ViewClarity
@@ -22,6 +32,11 @@ public:
   /// @return whether each view's similarity was less than half of what it usually is when it was last compared; one a
   /// view, or none so far
   const std::vector<bool>& hidden(const std::vector<double>& similarities, std::int64_t stamp);
+
+  /// As another's was: what is usual and what is hidden, one a view. @param stamp of its last exposure [ns]
+  void takeUp(const std::vector<ViewSight>& sights, std::int64_t stamp);
+  /// What is usual, one a view; none so far.
+  const std::vector<std::optional<double>>& usual() const { return usual_; }
 
   /// Neither what is usual nor what is hidden is known any more.
   void restart();
