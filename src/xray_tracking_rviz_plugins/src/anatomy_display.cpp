@@ -20,6 +20,7 @@
 #include "anatomy_loader.h"
 #include "bag_recorder.h"
 #include "look.h"
+#include "pose_message.h"
 #include "slice_object.h"
 #include "surface_object.h"
 #include "xray_tracking_conversions/conversions.h"
@@ -51,19 +52,6 @@ void place(Ogre::SceneNode* node, const RigidTransform& transform)
 {
   node->setPosition(metres(transform.translation()));
   node->setOrientation(ogre(transform.linear()));
-}
-
-/// None if the numbers are none.
-std::optional<RigidTransform> rigidOf(const geometry_msgs::Pose& pose)
-{
-  try
-  {
-    return rigidFromPoseMsg(pose);
-  }
-  catch (const std::exception&)
-  {
-    return std::nullopt;
-  }
 }
 
 double age(const ros::SteadyTime& since)

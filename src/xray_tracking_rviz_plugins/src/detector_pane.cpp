@@ -10,6 +10,7 @@
 #include <QVBoxLayout>
 
 #include "detector_view.h"
+#include "pose_message.h"
 #include "xray_tracking_conversions/conversions.h"
 
 namespace xray_tracking
@@ -57,18 +58,6 @@ void addIfLive(const Recent<Message>& stream, const std::vector<ros::Time>& imag
   if ((before - last).toSec() <= kLive && (last - images.back()).toSec() <= kLive)
   {
     streams.push_back(stampsOf(stream));
-  }
-}
-
-std::optional<RigidTransform> rigidOf(const geometry_msgs::Pose& pose)
-{
-  try
-  {
-    return rigidFromPoseMsg(pose);
-  }
-  catch (const std::invalid_argument&)
-  {
-    return std::nullopt;
   }
 }
 }  // namespace

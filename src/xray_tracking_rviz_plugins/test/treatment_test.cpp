@@ -236,6 +236,44 @@ TEST_F(TreatmentTest, LivesThroughWhateverComes)
   EXPECT_TRUE(becomes(GateLight::OPEN));
 }
 
+/// Of a tracked pose less uncertainty than of a registered one, unless nobody registers.
+TEST_F(TreatmentTest, TheBarIsWhatTheGateAsksOfThePose)
+{
+  const ros::NodeHandle nh("another_room");
+  TreatmentFeed feed(nh, [](const BeamGate&) {});
+  ros::Publisher motions = ros::NodeHandle(nh).advertise<PatientMotion>("patient_motion", 10);
+  const auto asked = [&](std::uint8_t source)
+  {
+    PatientMotion motion;
+    motion.source = source;
+    motion.header.stamp = ros::Time::now();
+    motions.publish(motion);
+    TreatmentView view;
+    EXPECT_TRUE(spinUntil(
+        [&]
+        {
+          feed.show(view);
+          return view.motion && view.motion->header.stamp == motion.header.stamp;
+        }));
+    return view.max_sigma;
+  };
+  ASSERT_TRUE(spinUntil([&] { return motions.getNumSubscribers() > 0; }));
+  nh.setParam("motion_estimation/refinement/mode", "every_n");
+  nh.setParam("motion_estimation/gate/max_sigma", 1.2);
+  nh.setParam("motion_estimation/gate/max_tracked_sigma", 0.4);
+  feed.look();
+  EXPECT_EQ(asked(PatientMotion::REGISTERED), 1.2);
+  EXPECT_EQ(asked(PatientMotion::TRACKED), 0.4);
+  nh.setParam("motion_estimation/gate/max_sigma", 0.3);
+  feed.look();
+  EXPECT_EQ(asked(PatientMotion::TRACKED), 0.3);
+  nh.setParam("motion_estimation/refinement/mode", "never");
+  nh.setParam("motion_estimation/gate/max_sigma", -1.0);  // which the gate does not take
+  feed.look();
+  EXPECT_EQ(asked(PatientMotion::REGISTERED), 1.5);
+  EXPECT_EQ(asked(PatientMotion::TRACKED), 1.5);
+}
+
 TEST_F(TreatmentTest, IsNeverBusyForLong)
 {
   gate_.say(true, BeamGate::NONE);
