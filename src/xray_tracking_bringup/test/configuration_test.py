@@ -120,6 +120,11 @@ class ConfigurationTest(unittest.TestCase):
                 policy = "required" if node.required else "respawn" if node.respawn else "nothing"
                 self.assertEqual(policy, expected.get(node.name, "respawn"), f"{name}: {node.name}")
 
+    def test_every_parameter_file_is_loaded(self):
+        launch = "".join(path.read_text() for path in files("launch", "*.launch"))
+        for path in pathlib.Path(rospkg.RosPack().get_path("xray_tracking_bringup"), "config").glob("*.yaml"):
+            self.assertIn(f'file="$(arg config)/{path.name}"', launch)
+
     def test_every_yaml_file_is_one(self):
         paths = list(files("config", "*.yaml")) + list(files("rviz", "*.rviz"))
         self.assertGreaterEqual(len(paths), 5)

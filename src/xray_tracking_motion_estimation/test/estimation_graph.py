@@ -44,7 +44,7 @@ def xyzw_from_rotation(r):
 
 
 class Detector:
-    """A detector as formats.md has it; projects by intersecting ray and plane, in mm."""
+    """A detector as docs/frames.md has it; projects by intersecting ray and plane, in mm."""
 
     def __init__(self, entry):
         self.name = entry['name']

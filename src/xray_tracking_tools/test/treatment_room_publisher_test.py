@@ -76,7 +76,7 @@ class TreatmentRoomPublisherTest(unittest.TestCase):
         return np.array([vector(p) for p in self.markers[(ns, marker_id)].points])
 
     def pixel(self, name, u, v):
-        """Room position of a pixel, formats.md's formula [m]."""
+        """Room position of a pixel, docs/frames.md's formula [m]."""
         d = self.detectors[name]
         return 1e-3 * (d["origin_mm"] + u * d["pixel_pitch_mm"][0] * d["x_direction"] +
                        v * d["pixel_pitch_mm"][1] * d["y_direction"])

@@ -1,5 +1,5 @@
 """Exposures whose truth is known, and the geometry that they were made in: what the campaigns play to the graph. By
-formats.md alone; shares no code with the nodes."""
+docs/own_data.md alone; shares no code with the nodes."""
 import csv
 import itertools
 import os

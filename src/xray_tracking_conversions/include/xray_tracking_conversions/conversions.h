@@ -50,8 +50,8 @@ Eigen::Matrix<double, 6, 6> covarianceFromPoseMsg(const geometry_msgs::PoseWithC
 /// Row-major. @param covariance [mm^2]; @return [m^2]
 boost::array<double, 9> covarianceMsgFromMillimetres(const Eigen::Matrix3d& covariance);
 
-/// The projection as an undistorted pinhole camera (formats.md): K = P = [fx 0 cx; 0 fy cy; 0 0 1], `plumb_bob` with
-/// five zeros; frame_id is the detector's optical frame, the stamp is left at zero.
+/// The projection as an undistorted pinhole camera (docs/frames.md): K = P = [fx 0 cx; 0 fy cy; 0 0 1], `plumb_bob`
+/// with five zeros; frame_id is the detector's optical frame, the stamp is left at zero.
 sensor_msgs::CameraInfo cameraInfoFromGeometry(const ProjectionGeometry& geometry);
 /// @param room_from_optical pose of the camera's frame; @param source_to_detector [mm], see
 /// ProjectionGeometry::fromIntrinsics. Rejects distortion, binning and an acquisition ROI.

@@ -132,8 +132,9 @@ MotionEstimationParameters readMotionEstimationParameters(ParameterReader reader
   requireOption(tracks.target_speed >= 0.0 && tracks.target_speed <= 1e4, "target_speed", tracks.target_speed,
                 "0 to 10000 mm/s");
   const std::vector<std::string>& names = tracks.views;
-  requireOption(names.size() >= 2 && std::set<std::string>(names.begin(), names.end()).size() == names.size(),
-                "the length of detectors", names.size(), "two or more names that differ");
+  requireOption(names.size() >= 2 && names.size() <= kMaxViews &&
+                    std::set<std::string>(names.begin(), names.end()).size() == names.size(),
+                "the length of detectors", names.size(), "2 to " + std::to_string(kMaxViews) + " names that differ");
   if (parameters.setup_file.empty())
   {
     throw std::invalid_argument("parameter " + reader.nameOf("setup_file") +

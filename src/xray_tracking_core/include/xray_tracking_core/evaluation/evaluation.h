@@ -103,8 +103,8 @@ struct MethodSummary
 /// @throws std::invalid_argument if the numbers of frames disagree, stamps do not grow, or a method's name is taken
 std::vector<MethodSummary> summarize(const Evaluation& evaluation);
 
-/// Writes tre.csv, poses.csv and summary.json (formats.md) into a folder, which is made if need be. What is not known
-/// is an empty field or null, never NaN; translation_error_mm is the distance at the target box's centre.
+/// Writes tre.csv, poses.csv and summary.json (docs/evaluation.md) into a folder, which is made if need be. What is not
+/// known is an empty field or null, never NaN; translation_error_mm is the distance at the target box's centre.
 /// @throws std::runtime_error if a file cannot be written; as summarize()
 void writeEvaluation(const Evaluation& evaluation, const std::string& directory);
 

@@ -16,7 +16,7 @@ struct Ray
   Eigen::Vector3d direction;
 };
 
-/// How the focal spot and a flat detector stand in the room (formats.md, "Coordinates"); the fields are as in a
+/// How the focal spot and a flat detector stand in the room (docs/frames.md, "Detectors"); the fields are as in a
 /// sequence file's `detectors` entry.
 struct DetectorDescription
 {

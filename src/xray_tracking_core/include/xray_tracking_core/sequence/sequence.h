@@ -29,7 +29,7 @@ struct Exposure
   std::vector<std::string> files;  ///< absolute
 };
 
-/// A sequence folder (formats.md): setup, exposures in order of time, and the gold standard where there is one.
+/// A sequence folder (docs/playback.md): setup, exposures in order of time, and the gold standard where there is one.
 struct Sequence
 {
   TreatmentSetup setup;

@@ -15,7 +15,7 @@
 
 namespace xray_tracking
 {
-/// What a pixel value means (formats.md, `intensity`).
+/// What a pixel value means (docs/own_data.md, `intensity`).
 struct IntensityModel
 {
   enum class Kind
@@ -29,7 +29,7 @@ struct IntensityModel
   std::optional<double> air_counts;  ///< counts behind air alone, offset included; absent: estimated from the image
 };
 
-/// What is known of a treatment before the first exposure: a sequence.yaml without its frames (formats.md).
+/// What is known of a treatment before the first exposure: a sequence.yaml without its frames (docs/own_data.md).
 struct TreatmentSetup
 {
   std::string ct_path;                           ///< absolute; empty if none is named
