@@ -7,6 +7,7 @@
 #include <sensor_msgs/CompressedImage.h>
 
 #include "xray_tracking_conversions/image_pixels.h"
+#include "xray_tracking_conversions/parameters.h"
 #include "xray_tracking_tools/image_message.h"
 
 namespace xray_tracking
@@ -35,19 +36,29 @@ int main(int argc, char** argv)
 {
   ros::init(argc, argv, "image_decompressor");
   ros::NodeHandle nh;
-  const auto detectors =
-      ros::NodeHandle("~").param("detectors", std::vector<std::string>{ "detector_a", "detector_b" });
-  std::vector<ros::Publisher> publishers;
-  std::vector<ros::Subscriber> subscribers;
-  for (const std::string& detector : detectors)
+  try
   {
-    publishers.push_back(nh.advertise<sensor_msgs::Image>(detector + "/image_raw", 100));
-    const boost::function<void(const sensor_msgs::CompressedImageConstPtr&)> callback =
-        [detector, publisher = publishers.back()](const sensor_msgs::CompressedImageConstPtr& message)
-    { xray_tracking::decompress(*message, detector, publisher); };
-    subscribers.push_back(nh.subscribe<sensor_msgs::CompressedImage>(detector + "/image_raw/compressed", 100, callback,
-                                                                     nullptr, ros::TransportHints().tcpNoDelay()));
+    xray_tracking::ParameterReader parameters(ros::NodeHandle("~"));
+    const std::vector<std::string> detectors =
+        parameters.read("detectors", std::vector<std::string>{ "detector_a", "detector_b" });
+    parameters.warnOfUnread();
+    std::vector<ros::Publisher> publishers;
+    std::vector<ros::Subscriber> subscribers;
+    for (const std::string& detector : detectors)
+    {
+      publishers.push_back(nh.advertise<sensor_msgs::Image>(detector + "/image_raw", 100));
+      const boost::function<void(const sensor_msgs::CompressedImageConstPtr&)> callback =
+          [detector, publisher = publishers.back()](const sensor_msgs::CompressedImageConstPtr& message)
+      { xray_tracking::decompress(*message, detector, publisher); };
+      subscribers.push_back(nh.subscribe<sensor_msgs::CompressedImage>(
+          detector + "/image_raw/compressed", 100, callback, nullptr, ros::TransportHints().tcpNoDelay()));
+    }
+    ros::spin();
   }
-  ros::spin();
+  catch (const std::exception& error)  // of parameters, or names that no topic may have
+  {
+    ROS_FATAL_STREAM(error.what());
+    return 1;
+  }
   return 0;
 }

@@ -13,7 +13,9 @@
 
 #include "xray_tracking_conversions/conversions.h"
 #include "xray_tracking_conversions/image_pixels.h"
+#include "xray_tracking_conversions/parameters.h"
 #include "xray_tracking_core/image/lens_distortion.h"
+#include "xray_tracking_core/option_check.h"
 #include "xray_tracking_tools/image_message.h"
 
 namespace xray_tracking
@@ -103,20 +105,27 @@ int main(int argc, char** argv)
   using xray_tracking::IntensityModel;
   ros::init(argc, argv, "image_rectifier");
   ros::NodeHandle nh;
-  ros::NodeHandle private_nh("~");
-  const std::string kind = private_nh.param("intensity/kind", std::string("counts"));
-  if (kind != "counts" && kind != "attenuation")
+  try
   {
-    ROS_FATAL_STREAM("~intensity/kind is '" << kind << "': expected counts or attenuation");
+    xray_tracking::ParameterReader parameters(ros::NodeHandle("~"));
+    const std::string kind = parameters.read("intensity/kind", std::string("counts"));
+    xray_tracking::requireOption(kind == "counts" || kind == "attenuation", "intensity/kind", "'" + kind + "'",
+                                 "counts or attenuation");
+    const std::vector<std::string> detectors =
+        parameters.read("detectors", std::vector<std::string>{ "detector_a", "detector_b" });
+    parameters.warnOfUnread();
+    std::vector<std::unique_ptr<xray_tracking::Rectifier>> rectifiers;
+    for (const std::string& detector : detectors)
+    {
+      rectifiers.push_back(std::make_unique<xray_tracking::Rectifier>(
+          nh, detector, kind == "counts" ? IntensityModel::Kind::COUNTS : IntensityModel::Kind::ATTENUATION));
+    }
+    ros::spin();
+  }
+  catch (const std::exception& error)  // of parameters, or names that no topic may have
+  {
+    ROS_FATAL_STREAM(error.what());
     return 1;
   }
-  std::vector<std::unique_ptr<xray_tracking::Rectifier>> rectifiers;
-  for (const std::string& detector :
-       private_nh.param("detectors", std::vector<std::string>{ "detector_a", "detector_b" }))
-  {
-    rectifiers.push_back(std::make_unique<xray_tracking::Rectifier>(
-        nh, detector, kind == "counts" ? IntensityModel::Kind::COUNTS : IntensityModel::Kind::ATTENUATION));
-  }
-  ros::spin();
   return 0;
 }

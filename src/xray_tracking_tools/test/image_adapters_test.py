@@ -3,10 +3,12 @@
 
 import queue
 import struct
+import subprocess
 import unittest
 import zlib
 
 import numpy
+import roslib.packages
 import rospy
 import rostest
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
@@ -83,6 +85,21 @@ class ImageAdaptersTest(unittest.TestCase):
             numpy.frombuffer(self.images.get(timeout=WAIT_S).data, "<u2").reshape(HEIGHT, WIDTH), slope)
         self.infos.get(timeout=WAIT_S)
         self.assertTrue(self.images.empty() and self.infos.empty())
+
+    def test_a_node_with_wrong_parameters_ends_and_says_what_is_wrong(self):
+        for node, parameter, value, words in (
+                ("image_decompressor", "detectors", "front", ("/detectors", "front", "a list of texts")),
+                ("image_decompressor", "detectors", ["detector a"], ("detector a",)),
+                ("image_rectifier", "detectors", ["front", 2], ("/detectors", "a list of texts")),
+                ("image_rectifier", "intensity/kind", "bright", ("intensity/kind", "bright", "counts or attenuation")),
+                ("image_rectifier", "intensity/kind", 3, ("/intensity/kind", "3", "a text"))):
+            rospy.set_param(f"/wrong/{parameter}", value)
+            path = roslib.packages.find_node("xray_tracking_tools", node)[0]
+            done = subprocess.run([path, "__name:=wrong"], capture_output=True, text=True, timeout=WAIT_S, check=False)
+            rospy.delete_param("/wrong")
+            self.assertEqual(done.returncode, 1, done.stderr)
+            for word in words:
+                self.assertIn(word, done.stderr)
 
 
 if __name__ == "__main__":
