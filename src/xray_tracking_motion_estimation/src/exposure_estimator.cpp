@@ -142,7 +142,9 @@ void ExposureEstimator::accept(const Refinement& refinement, const TrackedExposu
     const std::optional<TrackedView>& view = exposure.views[i];
     ViewSight& sight = sights_[i];
     sight.hidden = i < refinement.hidden.size() && refinement.hidden[i];
-    if (view && !view->region.empty() && sight.template_stamp != view->reference_stamp)
+    // A blind view was not compared.
+    if (view && view->state != RegionState::BLIND && !view->region.empty() &&
+        sight.template_stamp != view->reference_stamp)
     {
       sight.template_stamp = view->reference_stamp;
       sight.template_hidden = sight.hidden;
@@ -153,6 +155,19 @@ void ExposureEstimator::accept(const Refinement& refinement, const TrackedExposu
                          regionAt(i, refinement.refined));
     }
   }
+}
+
+std::string ExposureEstimator::faultOf(const RigidTransform& room_from_patient) const
+{
+  try
+  {
+    MotionEstimator(*estimator_).setReference(room_from_patient, reference_covariance_);
+  }
+  catch (const std::invalid_argument& error)
+  {
+    return error.what();
+  }
+  return std::string();
 }
 
 void ExposureEstimator::restart()
@@ -167,7 +182,10 @@ void ExposureEstimator::restart()
   consistency_.reset();
   rigid_consistency_.reset();
   doubts_.assign(doubts_.size(), {});
-  sights_.assign(sights_.size(), {});
+  for (ViewSight& sight : sights_)
+  {
+    sight.hidden = false;  // what was learnt stays what it is
+  }
   first_unseen_.reset();
 }
 

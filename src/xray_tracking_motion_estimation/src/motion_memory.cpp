@@ -136,12 +136,23 @@ ViewReference referenceFrom(const json& from)
   return reference;
 }
 
+json jsonOf(const std::optional<std::int64_t>& stamp)
+{
+  return stamp ? json(*stamp) : json();
+}
+
+std::optional<std::int64_t> stampFrom(const json& from)
+{
+  return from.is_null() ? std::nullopt : std::make_optional(from.get<std::int64_t>());
+}
+
 json jsonOf(const ViewSight& sight)
 {
   return { { "usual", sight.usual ? json(*sight.usual) : json() },
            { "hidden", sight.hidden },
-           { "template_stamp", sight.template_stamp ? json(*sight.template_stamp) : json() },
-           { "template_hidden", sight.template_hidden } };
+           { "template_stamp", jsonOf(sight.template_stamp) },
+           { "template_hidden", sight.template_hidden },
+           { "stated", jsonOf(sight.stated) } };
 }
 
 ViewSight sightFrom(const json& from)
@@ -156,11 +167,9 @@ ViewSight sightFrom(const json& from)
     }
   }
   sight.hidden = from.at("hidden").get<bool>();
-  if (!from.at("template_stamp").is_null())
-  {
-    sight.template_stamp = from.at("template_stamp").get<std::int64_t>();
-  }
+  sight.template_stamp = stampFrom(from.at("template_stamp"));
   sight.template_hidden = from.at("template_hidden").get<bool>();
+  sight.stated = stampFrom(from.at("stated"));
   return sight;
 }
 

@@ -25,6 +25,10 @@ std::string MotionMonitor::claim(const RigidTransform& room_from_patient, std::i
   {
     return "there is no exposure so far that could be registered";
   }
+  if (const std::string fault = tracks_.faultOf(room_from_patient); !fault.empty())
+  {
+    return "the stated pose is of no use: " + fault;
+  }
   claim_ = Claim{ room_from_patient, {}, {} };
   advance(now);
   return std::string();

@@ -10,9 +10,10 @@ std::optional<MotionMemory> MotionMonitor::memory() const
   {
     return std::nullopt;
   }
-  for (std::size_t i = 0; i < clarity_.usual().size(); ++i)
+  for (std::size_t i = 0; i < memory->sights.size(); ++i)
   {
-    memory->sights.at(i).usual = clarity_.usual()[i];
+    memory->sights[i].usual = i < clarity_.usual().size() ? clarity_.usual()[i] : std::nullopt;
+    memory->sights[i].stated = proposer_.statedFor(i);
   }
   memory->last_stamp = last_pose_->first;
   memory->last_pose = last_pose_->second;
@@ -24,6 +25,7 @@ void MotionMonitor::takeUp(const MotionMemory& memory)
 {
   tracks_.takeUp(memory);
   clarity_.takeUp(memory.sights, memory.last_stamp);
+  proposer_.takeUp(memory.sights);
   last_pose_ = { memory.last_stamp, memory.last_pose };
   last_was_registered_ = false;
   last_seen_ = memory.last_stamp;

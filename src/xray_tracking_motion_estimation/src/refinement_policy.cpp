@@ -49,6 +49,15 @@ std::string compose(const Parts&... parts)
   return text.str();
 }
 
+/// How the registration's views contradict each other; empty if they do not.
+std::string viewsApart(const RefinementReply& reply)
+{
+  return reply.pull <= kViewsApart
+             ? std::string()
+             : compose("the registration's views contradict each other: one alone would move the target by ",
+                       reply.pull, " mm, expected at most ", kViewsApart, " mm");
+}
+
 /// (rotation vector, translation) of the target's centre from one pose to another, room axes.
 Twist targetMotion(const RigidTransform& from, const RigidTransform& to, const Eigen::Vector3d& target_centre)
 {
@@ -227,11 +236,9 @@ RefinementPolicy::Judgement RefinementPolicy::judge(const RefinementReply& reply
     judgement.verdict = RefinementVerdict::REFUSED;
     chain_.reset();
   }
-  else if (!(reply.pull <= kViewsApart))
+  else if (judgement.reason = viewsApart(reply); !judgement.reason.empty())
   {
     judgement.verdict = RefinementVerdict::CONTRADICTS;
-    judgement.reason = compose("the registration's views contradict each other: one alone would move the target by ",
-                               reply.pull, " mm, expected at most ", kViewsApart, " mm");
     chain_.reset();
   }
   else
@@ -289,6 +296,10 @@ RefinementPolicy::Judgement RefinementPolicy::judge(const RefinementReply& reply
 RefinementPolicy::Judgement RefinementPolicy::judgeClaimed(const RefinementReply& reply, const RefinementSeed& claim)
 {
   Judgement judgement{ RefinementVerdict::ACCEPTED, fault(reply), std::nullopt };
+  if (judgement.reason.empty())
+  {
+    judgement.reason = viewsApart(reply);
+  }
   if (judgement.reason.empty() && !excess(reply, claim, 1.0).empty())
   {
     const Twist correction = targetMotion(claim.room_from_patient, reply.room_from_patient, target_centre_);

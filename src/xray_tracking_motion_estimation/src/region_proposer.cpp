@@ -44,12 +44,17 @@ void RegionProposer::look(const TrackedExposure& exposure, const ExposureEstimat
       continue;
     }
     std::optional<cv::Rect> region;
+    bool spoilt = false;
     if (view && !view->region.empty() && refinement != nullptr)
     {
       region = tracks.regionAt(i, refinement->refined);
+      spoilt = tracks.isSpoilt(i, *view);
+      if (spoilt && !region)  // no template before it is known
+      {
+        region = projectedBoxRegion(target_box_, refinement->refined, tracks.geometries()[i]);
+      }
     }
     const bool lost = view && view->state == RegionState::LOST;
-    const bool spoilt = region && tracks.isSpoilt(i, *view);
     const bool other = region && followsOther(*view, tracks.geometries()[i], *region, refinement->refined);
     // Where all views follow the same wrong thing they agree; then it has taken more than two exposures to outvote
     // them.
@@ -81,6 +86,15 @@ void RegionProposer::stated(std::int64_t stamp)
   }
 }
 
+void RegionProposer::takeUp(const std::vector<ViewSight>& sights)
+{
+  restart();
+  for (std::size_t i = 0; i < astray_.size(); ++i)
+  {
+    astray_[i].stated = sights.at(i).stated;
+  }
+}
+
 bool RegionProposer::learning() const
 {
   return std::any_of(astray_.begin(), astray_.end(), [](const Astray& astray) { return astray.stated.has_value(); });
@@ -105,7 +119,7 @@ void RegionProposer::place(const TrackedExposure& exposure, const std::pair<std:
     {
       stated.reset();
     }
-    else if (!box.empty() && !covers && view->reference_stamp <= *stated)
+    else if (!box.empty() && (tracks.isSpoilt(i, *view) || (!covers && view->reference_stamp <= *stated)))
     {
       propose(i, box, exposure.stamp);
     }

@@ -272,6 +272,89 @@ TEST_F(HiddenViewTest, WhatHidTheTargetWhenItWasLearntIsLearntAnew)
   }
 }
 
+/// Such a template is none of a stated pose either, whose region it may cover.
+TEST_F(HiddenViewTest, WhatHidTheTargetWhenItWasLearntIsLearntAnewAfterAClaimToo)
+{
+  start();
+  see({ 0.0, 0.0, 0.0 }, kClear);
+  see({ 0.0, 0.0, 0.0 }, kClear);
+  learn({ 0.0, 0.0, 0.0 });
+  see({ 0.0, 0.0, 0.0 }, kHidden);
+  EXPECT_EQ("", monitor->claim(initialPose(), now));
+  monitor->onReply(believed(request().id, { 0.0, 0.0, 0.0 }), now);
+  EXPECT_EQ("", monitor->takeOutcome().value_or(ClaimOutcome{ "no outcome" }).refusal);
+  see({ 0.0, 0.0, 0.0 }, kClear);
+  const std::optional<RegionProposal> proposal = monitor->takeProposal();
+  ASSERT_TRUE(proposal);
+  EXPECT_EQ(0u, proposal->view);
+  learn({ 0.0, 0.0, 0.0 });
+  for (int i = 0; i < 3; ++i)
+  {
+    see({ 0.0, 0.0, 0.0 }, kClear);
+    EXPECT_FALSE(monitor->takeProposal());
+  }
+  expose({ 0.3, 0.0, 0.0 });
+  monitor->onReply(doubted(request().id), now);
+  expectPose(decision(), PoseSource::TRACKED, { 0.3, 0.0, 0.0 }, 1e-3);
+}
+
+/// That the patient is at the initial pose makes no target of what was learnt.
+TEST_F(HiddenViewTest, WhatHidTheTargetWhenItWasLearntIsLearntAnewAfterARestartToo)
+{
+  start();
+  see({ 0.0, 0.0, 0.0 }, kClear);
+  see({ 0.0, 0.0, 0.0 }, kClear);
+  learn({ 0.0, 0.0, 0.0 });
+  see({ 0.0, 0.0, 0.0 }, kHidden);
+  monitor->restart("");
+  expose({ 0.0, 0.0, 0.0 });
+  monitor->onReply(doubted(request().id), now);
+  expectNone(decision(), MotionState::LOST, "while something hid the target");
+  seeAgain({ 0.0, 0.0, 0.0 });
+  see({ 0.0, 0.0, 0.0 }, kClear);
+  const std::optional<RegionProposal> proposal = monitor->takeProposal();
+  ASSERT_TRUE(proposal);
+  EXPECT_EQ(0u, proposal->view);
+  learn({ 0.0, 0.0, 0.0 });
+  see({ 0.0, 0.0, 0.0 }, kClear);
+  expose({ 0.3, 0.0, 0.0 });
+  monitor->onReply(doubted(request().id), now);
+  expectPose(decision(), PoseSource::TRACKED, { 0.3, 0.0, 0.0 }, 1e-3);
+}
+
+/// An exposure that a view was left out of tells nothing of what it has learnt.
+TEST_F(HiddenViewTest, ATemplateIsJudgedOnceItsViewIsCompared)
+{
+  scene.views = viewsAround(3);
+  options.tracks.views = { "a", "b", "c" };
+  start();
+  trained.push_back(trained.front());
+  const double blind = std::numeric_limits<double>::quiet_NaN();
+  const auto look = [&](double first_similarity)
+  {
+    const auto alter = [&](std::vector<std::optional<TrackedView>>& views)
+    {
+      views.push_back(tracked(2, { 0.0, 0.0, 0.0 }));
+      views[0]->state = std::isnan(first_similarity) ? RegionState::BLIND : RegionState::TRACKING;
+    };
+    expose({ 0.0, 0.0, 0.0 }, alter);
+    RefinementReply reply = believed(request().id, { 0.0, 0.0, 0.0 });
+    reply.view_similarities = { first_similarity, 0.9, 0.9 };
+    monitor->onReply(reply, now);
+    expectPose(decision(), PoseSource::REGISTERED, { 0.0, 0.0, 0.0 }, kExact);
+  };
+  look(kClear);
+  look(kClear);
+  learn({ 0.0, 0.0, 0.0 });
+  look(blind);
+  look(kHidden);
+  look(kClear);
+  EXPECT_TRUE(monitor->tracks().isSpoilt(0, tracked(0, { 0.0, 0.0, 0.0 })));
+  EXPECT_FALSE(monitor->takeProposal());
+  look(kClear);
+  EXPECT_TRUE(monitor->takeProposal());
+}
+
 /// A template of an unknown pose follows an instrument, whose way tells nothing of where the target's region is.
 TEST_F(HiddenViewTest, WhatFollowsSomethingElseDoesNotTakeTheRegionAlong)
 {

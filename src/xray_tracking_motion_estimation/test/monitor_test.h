@@ -9,6 +9,7 @@
 #include <gtest/gtest.h>
 
 #include "scene.h"
+#include "xray_tracking_motion_estimation/motion_memory.h"
 #include "xray_tracking_motion_estimation/motion_monitor.h"
 
 namespace xray_tracking
@@ -121,6 +122,21 @@ protected:
     expose(motion, alter);
     monitor->onReply(believed(request().id, motion + off), now + 20 * kMillisecond);
     return decision();
+  }
+
+  /// Another monitor goes on in this one's place, from the text that is kept of it. @return what it knew
+  MotionMemory die()
+  {
+    RunMemory run;
+    run.detectors = scene.views;
+    run.motion = monitor->memory();
+    EXPECT_TRUE(run.motion);
+    const MotionMemory memory = *runMemoryFrom(textOf(run)).motion;
+    monitor.emplace(options, initialPose(), targetBox());
+    monitor->tracks().setGeometry(geometriesOf(scene.views), TargetShape::isotropic(scene.targetCentre()));
+    monitor->takeUp(memory);
+    now = 7 * kMillisecond;  // another process's clock
+    return memory;
   }
 
   void expectPose(const MotionDecision& decision, PoseSource source, const Eigen::Vector3d& motion, double tolerance)

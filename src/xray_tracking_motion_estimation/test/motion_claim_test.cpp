@@ -107,6 +107,20 @@ TEST_F(ClaimTest, ARefusedOneLeavesEverythingAsItWas)
   EXPECT_TRUE(monitor->gate().verification().verified());
 }
 
+/// As of images of different moments, or exchanged ones: what is found between such views is nowhere.
+TEST_F(ClaimTest, ARegistrationWhoseViewsContradictEachOtherConfirmsNothing)
+{
+  for (const double pull : { 0.5, 8.0 })
+  {
+    RefinementReply reply = believed(claim(truth).id, truth);
+    reply.pull = pull;
+    monitor->onReply(reply, now);
+    expectRefusal("views contradict each other");
+    EXPECT_FALSE(monitor->gate().verification().verified());
+    EXPECT_EQ(monitor->tracks().reference().translation(), initialPose().translation());
+  }
+}
+
 TEST_F(ClaimTest, AfterARefusedOneItTakesTwoInARow)
 {
   monitor->onReply(doubted(claim(truth).id), now);
@@ -339,6 +353,23 @@ TEST_F(RegionsAfterAClaimTest, AreAskedForOnceASecondUntilTheyAreLearnt)
   EXPECT_EQ(proposals, 2);
 }
 
+TEST_F(RegionsAfterAClaimTest, AreLearntWhereTheNodeHasDiedMeanwhileToo)
+{
+  begin({ PoseMethod::TRACKING_AND_REGISTRATION, RefinementMode::ON_DEMAND, false });
+  confirm(truth);
+  die();
+  for (int i = 0; i < 4; ++i)
+  {
+    const MotionDecision decision = exposeBoth(true);
+    expectThere(decision, decision.source);
+  }
+  EXPECT_EQ(proposals, 2);
+  EXPECT_TRUE(learnt[0] && learnt[1]);
+  requests = 0;
+  expectThere(exposeBoth(true), PoseSource::TRACKED);
+  EXPECT_EQ(requests, 0);
+}
+
 TEST_F(RegionsAfterAClaimTest, StayWhereTheyCoverTheTarget)
 {
   begin({ PoseMethod::TRACKING_AND_REGISTRATION, RefinementMode::ON_DEMAND, false });
@@ -361,6 +392,8 @@ TEST_F(ClaimTest, WhatCannotBeLookedAtIsSaid)
   bad = initialPose();
   bad.linear() *= 1.1;
   EXPECT_NE(monitor->claim(bad, now).find("rotation"), std::string::npos);
+  const Eigen::Vector3d behind(0.0, 0.0, 2.0 * kSourceToIsocentre);
+  EXPECT_NE(monitor->claim(moved(initialPose(), behind), now).find("in front of the source"), std::string::npos);
   EXPECT_FALSE(monitor->takeRequest());
   claim(truth);
   EXPECT_NE(monitor->claim(initialPose(), now).find("earlier"), std::string::npos);

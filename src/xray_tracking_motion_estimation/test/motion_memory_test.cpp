@@ -39,7 +39,7 @@ RunMemory someMemory()
   reference.anchor_stamp = 1700000000987654321;
   reference.registered = true;
   motion.references = { reference, std::nullopt };
-  motion.sights = { { 0.1 + 0.2, true, 1700000000123456789, true }, {} };
+  motion.sights = { { 0.1 + 0.2, true, 1700000000123456789, true, 1700000000023456789 }, {} };
   motion.reference = moved(initialPose(), { 1.0 / 7.0, 0.0, 0.0 });
   motion.reference_covariance = 0.01 * Matrix6d::Identity();
   motion.last_stamp = 1700000001123456789;
@@ -78,10 +78,12 @@ TEST(MotionMemory, ComesBackAsItWas)
   EXPECT_TRUE(is.motion->sights[0].hidden);
   EXPECT_EQ(is.motion->sights[0].template_stamp, 1700000000123456789);
   EXPECT_TRUE(is.motion->sights[0].template_hidden);
+  EXPECT_EQ(is.motion->sights[0].stated, 1700000000023456789);
   EXPECT_FALSE(is.motion->sights[1].usual);
   EXPECT_FALSE(is.motion->sights[1].hidden);
   EXPECT_FALSE(is.motion->sights[1].template_stamp);
   EXPECT_FALSE(is.motion->sights[1].template_hidden);
+  EXPECT_FALSE(is.motion->sights[1].stated);
   EXPECT_EQ(is.motion->reference.matrix(), was.motion->reference.matrix());
   EXPECT_EQ(is.motion->reference_covariance, was.motion->reference_covariance);
   EXPECT_EQ(is.motion->last_stamp, was.motion->last_stamp);

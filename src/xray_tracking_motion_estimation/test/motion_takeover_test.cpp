@@ -1,7 +1,5 @@
 // What is known of poses goes on in another monitor's place.
 
-#include "xray_tracking_motion_estimation/motion_memory.h"
-
 #include <optional>
 #include <vector>
 
@@ -13,25 +11,7 @@ namespace xray_tracking
 {
 namespace
 {
-/// A monitor that has died, and the one in its place.
-class TakenUpTest : public MonitorTest
-{
-protected:
-  /// Through the text that is kept of it. @return what it knew
-  MotionMemory die()
-  {
-    RunMemory run;
-    run.detectors = scene.views;
-    run.motion = monitor->memory();
-    EXPECT_TRUE(run.motion);
-    const MotionMemory memory = *runMemoryFrom(textOf(run)).motion;
-    monitor.emplace(options, initialPose(), targetBox());
-    monitor->tracks().setGeometry(geometriesOf(scene.views), TargetShape::isotropic(scene.targetCentre()));
-    monitor->takeUp(memory);
-    now = 7 * kMillisecond;  // another process's clock
-    return memory;
-  }
-};
+using TakenUpTest = MonitorTest;
 
 TEST_F(TakenUpTest, MotionCountsFromTheSamePoseOnceARegistrationHasConfirmedIt)
 {
@@ -171,7 +151,7 @@ TEST_F(TakenUpTest, WhatHidTheTargetIsKnownStill)
   expectNone(tracked_alone(), MotionState::LOST, "while something hid the target");
 }
 
-TEST_F(MonitorTest, NothingIsKeptBeforeThereIsAPose)
+TEST_F(TakenUpTest, NothingIsKeptBeforeThereIsAPose)
 {
   start();
   EXPECT_FALSE(monitor->memory());

@@ -70,11 +70,14 @@ public:
   /// @throws std::invalid_argument if the pose is of no use, whereupon nothing is changed
   void accept(const Refinement& refinement, const TrackedExposure& exposure);
 
-  /// As at first, but for the geometry.
+  /// With a geometry. Why motion cannot count from a pose, as accept() would say; empty if it can.
+  std::string faultOf(const RigidTransform& room_from_patient) const;
+
+  /// As at first, but for the geometry and for what templates were learnt of.
   void restart();
 
-  /// What to go on with elsewhere, but for the last pose and the views' usual similarities; nothing if no pose is
-  /// known.
+  /// What to go on with elsewhere, but for the last pose, and of the views what is usual and stated; nothing if no pose
+  /// is known.
   std::optional<MotionMemory> memory() const;
   /// With a geometry; the same one. Templates that the memory does not know have no reference.
   /// @throws std::invalid_argument if it is of another number of views, or its pose is of no use
@@ -96,7 +99,7 @@ public:
 
   /// Whether the last accepted refinement did not see the target in a view; it takes no part until one does.
   bool isHidden(std::size_t view) const { return sights_[view].hidden; }
-  /// Whether the first refinement accepted with a view's template did not see the target: what hid it may have been
+  /// Whether the first refinement that compared a view's template did not see the target: what hid it may have been
   /// learnt. The view takes no part until it has learnt anew.
   bool isSpoilt(std::size_t view, const TrackedView& tracked) const
   {
@@ -132,7 +135,7 @@ private:
   ConsistencyMonitor rigid_consistency_;  ///< refuses nothing
   ViewReferences references_;
   std::vector<Doubt> doubts_;
-  std::vector<ViewSight> sights_;  ///< but for what is usual
+  std::vector<ViewSight> sights_;  ///< but for what is usual and stated
   std::vector<std::optional<ViewMeasurement>> measurements_;
   std::int64_t started_ = 0;
   std::int64_t first_heard_ = 0;

@@ -56,7 +56,7 @@ public:
   /// The monotonic time at which something has to be decided, if nothing comes before [ns]; nothing if nothing waits.
   std::optional<std::int64_t> wakeAt() const;
 
-  /// Time starts again: all but the geometry is forgotten, and what waits.
+  /// Time starts again: all but the geometry and what templates were learnt of is forgotten, and what waits.
   /// @param doubt why the patient may be elsewhere than at the initial pose: no pose until a refinement confirms one;
   /// empty if it is taken to be there
   void restart(const std::string& doubt);
@@ -75,11 +75,11 @@ public:
   bool demandRefinement() { return refinement_.demand(); }
 
   /// Somebody states where the patient is. That is a claim, as the initial pose is one: the latest exposure is
-  /// registered from there as soon as the registration is free. If that is believed, and within the bounds of a
-  /// correction, motion counts from the registered pose, and all that was known before is void, whatever tracks have
-  /// said; else nothing changes. Views whose regions are not over the target there are to learn them anew, and until
-  /// they have, exposures are registered whatever the mode. After a refused claim it takes two registrations in a row
-  /// to verify one.
+  /// registered from there as soon as the registration is free. If that is believed, its views agree, and it is within
+  /// the bounds of a correction, motion counts from the registered pose, and all that was known before is void,
+  /// whatever tracks have said; else nothing changes. Views whose regions are not over the target there are to learn
+  /// them anew, and until they have, exposures are registered whatever the mode. After a refused claim it takes two
+  /// registrations in a row to verify one.
   /// @param now monotonic clock [ns]
   /// @return why it cannot be looked at; empty if it is, whereupon an outcome will come
   std::string claim(const RigidTransform& room_from_patient, std::int64_t now);

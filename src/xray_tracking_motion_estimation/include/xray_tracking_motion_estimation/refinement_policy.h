@@ -147,8 +147,9 @@ public:
   /// waits to be confirmed, it starts from that one's pose. @throws std::logic_error if there is one under way
   RefinementRequest ask(const RefinementSeed& exposure, bool unverified, std::int64_t now);
 
-  /// The same from a pose that somebody states, see MotionMonitor::claim(). Its answer has to be believed, and within
-  /// the bounds of a correction of that pose; what tracks say counts for nothing, and a refusal changes nothing.
+  /// The same from a pose that somebody states, see MotionMonitor::claim(). Its answer has to be believed, its views
+  /// to agree, and it to be within the bounds of a correction of that pose; what tracks say counts for nothing, and a
+  /// refusal changes nothing.
   RefinementRequest askClaimed(std::int64_t stamp, const RigidTransform& room_from_patient, std::int64_t now);
 
   /// Gives up the request under way, if there is one.

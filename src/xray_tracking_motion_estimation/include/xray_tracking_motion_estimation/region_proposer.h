@@ -37,10 +37,14 @@ public:
   /// Somebody has stated that the patient is elsewhere, and a registration of that exposure [ns] has confirmed it: what
   /// was learnt until then was learnt where a wrong pose had put the target.
   void stated(std::int64_t stamp);
+  /// As another's was, of what was stated; one a view.
+  void takeUp(const std::vector<ViewSight>& sights);
+  /// Stamp of the statement after which a view has yet to learn its region [ns]; nothing if it need not.
+  std::optional<std::int64_t> statedFor(std::size_t view) const { return astray_[view].stated; }
   /// Whether there are views that have yet to learn where such a pose puts the target.
   bool learning() const;
-  /// The next exposure after that: a view whose region does not cover the target's box is to learn the box, once a
-  /// second, until it has learnt what it may, and at which pose is known.
+  /// The next exposure after that: a view whose region does not cover the target's box, or was learnt while something
+  /// hid the target, is to learn the box, once a second, until it has learnt what it may, and at which pose is known.
   /// @param pose the last one that is known, and its stamp [ns]; one that is older than a second places nothing
   void place(const TrackedExposure& exposure, const std::pair<std::int64_t, RigidTransform>& pose,
              const ExposureEstimator& tracks);

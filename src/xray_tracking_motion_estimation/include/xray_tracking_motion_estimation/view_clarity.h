@@ -17,9 +17,12 @@ struct ViewSight
 {
   std::optional<double> usual{};  ///< its similarity, usually; nothing if it was never compared
   bool hidden = false;            ///< it did not show the target when it was last compared
-  /// The latest template that a registration was accepted with [ns], and whether the first such did not see the target.
+  /// The latest template that was compared by an accepted registration [ns], and whether the first such did not see the
+  /// target.
   std::optional<std::int64_t> template_stamp{};
   bool template_hidden = false;
+  /// Templates of no later stamp are to be learnt anew, see RegionProposer::stated() [ns]; nothing if none is.
+  std::optional<std::int64_t> stated{};
 };
 
 /// Tells from what registrations say of their views whether a view shows the target: what passes in front of it, as an

@@ -15,7 +15,7 @@ constexpr std::chrono::milliseconds kSlowDisk(200);
 
 void MotionEstimationRos::readRestartFile()
 {
-  restart_file_.emplace(pnh_, "motion 2");
+  restart_file_.emplace(pnh_, "motion 3");
   if (!restart_file_->succeeds())
   {
     return;

@@ -88,13 +88,15 @@ MotionEstimationRos::~MotionEstimationRos()
   refine_server_.shutdown();
   restart_server_.shutdown();
   hold_beam_server_.shutdown();
-  alignment_server_.reset();
   operator_subscriber_.shutdown();
   for (View& view : views_)
   {
     view.camera_info_subscriber.shutdown();
     view.tracked_region_subscriber.shutdown();
   }
+  // After what may have an outcome for it; its own callbacks may start the timer once more.
+  deadline_timer_.stop();
+  alignment_server_.reset();
   for (View& view : views_)
   {
     if (view.trainer)
@@ -133,13 +135,9 @@ void MotionEstimationRos::start()
   motion_publisher_ = nh_.advertise<PatientMotion>("patient_motion", 100);
   pose_publisher_ = nh_.advertise<geometry_msgs::PoseWithCovarianceStamped>("patient_pose", 100);
   prediction_publisher_ = nh_.advertise<geometry_msgs::PoseWithCovarianceStamped>("predicted_pose", 100);
-  restart_server_ = pnh_.advertiseService("restart", &MotionEstimationRos::restartCb, this);
-  hold_beam_server_ = pnh_.advertiseService("hold_beam", &MotionEstimationRos::holdBeamCb, this);
-  operator_subscriber_ = nh_.subscribe("operator_present", 1, &MotionEstimationRos::operatorPresentCb, this);
   deadline_timer_ = nh_.createSteadyTimer(ros::WallDuration(1.0), &MotionEstimationRos::deadlineCb, this, true, false);
   if (parameters_.monitor.refinement.mode != RefinementMode::NEVER)
   {
-    refine_server_ = pnh_.advertiseService("refine", &MotionEstimationRos::refineCb, this);
     registration_ = std::make_unique<ServiceCaller<RefinePose>>(
         nh_, "refine_pose",
         [this](const std::optional<RefinePose::Response>& response, const std::string& why)
@@ -155,15 +153,6 @@ void MotionEstimationRos::start()
         });
   }
   const std::vector<std::string>& detectors = parameters_.monitor.tracks.views;
-  alignment_server_ = std::make_unique<AlignmentServer>(
-      pnh_,
-      [this](const RigidTransform& room_from_patient)
-      {
-        const std::string why = monitor_->claim(room_from_patient, steadyNanoseconds());
-        settle();
-        return why;
-      },
-      [this] { monitor_->withdrawClaim(); });
   assembler_.emplace(detectors.size(), parameters_.queue_size,
                      nanosecondsFromSeconds(parameters_.monitor.tracks.pairing_tolerance),
                      StampPolicy::Options{ ros::Time::isSimTime() ? kClockTick : kMaxAhead, kRestartConfirmed });
@@ -174,6 +163,22 @@ void MotionEstimationRos::start()
     views_[i].name = detectors[i];
   }
   // Callbacks of a nodelet may come in another thread from here on.
+  restart_server_ = pnh_.advertiseService("restart", &MotionEstimationRos::restartCb, this);
+  hold_beam_server_ = pnh_.advertiseService("hold_beam", &MotionEstimationRos::holdBeamCb, this);
+  if (registration_)
+  {
+    refine_server_ = pnh_.advertiseService("refine", &MotionEstimationRos::refineCb, this);
+  }
+  alignment_server_ = std::make_unique<AlignmentServer>(
+      pnh_,
+      [this](const RigidTransform& room_from_patient)
+      {
+        const std::string why = monitor_->claim(room_from_patient, steadyNanoseconds());
+        settle();
+        return why;
+      },
+      [this] { monitor_->withdrawClaim(); });
+  operator_subscriber_ = nh_.subscribe("operator_present", 1, &MotionEstimationRos::operatorPresentCb, this);
   for (std::size_t i = 0; i < detectors.size(); ++i)
   {
     subscribe(views_[i], i);

@@ -34,8 +34,8 @@ TrackedView trackedViewFromMsg(const TrackedRegion& region, std::int64_t offset)
   view.fault = region.fault;
   view.reference_stamp = nanosecondsFromTime(region.reference_stamp);
   view.offset = offset;
-  // A region that is none, of a message from elsewhere, is not known.
-  constexpr std::uint32_t kMostPixels = 1000000;
+  // A region that is none, of a message from elsewhere, is not known. Twice its area is an int.
+  constexpr std::uint32_t kMostPixels = 30000;
   const auto& r = region.region;
   if (std::max({ r.x_offset, r.y_offset, r.width, r.height }) < kMostPixels)
   {
