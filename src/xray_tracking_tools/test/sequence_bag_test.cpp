@@ -338,8 +338,9 @@ TEST(BagSequence, GoesByWhatCameraInfosSay)
     distorted.header.stamp = ros::Time(1000);
     bag.write("/detector_b/camera_info", ros::Time(1000), distorted);
   }
-  for (const std::string command : { "bag_to_sequence " + folder.file("a.bag") + " ",
-                                     "evaluate_sequence --methods tracking --bag " + folder.file("a.bag") + " --out " })
+  for (const std::string& command :
+       { "bag_to_sequence " + folder.file("a.bag") + " ",
+         "evaluate_sequence --methods tracking --bag " + folder.file("a.bag") + " --out " })
   {
     const CommandResult result = runShell(std::string(COMMAND_DIR) + "/" + command + folder.file("out"));
     EXPECT_EQ(1, result.status);
