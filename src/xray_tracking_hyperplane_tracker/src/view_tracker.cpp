@@ -2,6 +2,7 @@
 
 #include <cmath>
 #include <exception>
+#include <sstream>
 #include <stdexcept>
 #include <utility>
 
@@ -37,15 +38,28 @@ double finiteOrZero(double value)
 }  // namespace
 
 ViewTracker::ViewTracker(std::unique_ptr<RegionTracker> tracker, const IntensityModel& intensity, int reduction,
-                         MotionModel model, bool model_by_data, const std::optional<cv::Rect>& region)
+                         MotionModel model, bool model_by_data, const std::optional<cv::Rect>& region,
+                         const std::optional<cv::Size>& image_size)
   : tracker_(std::move(tracker), intensity, reduction),
     check_(intensity),
     intensity_(intensity),
     model_(model),
     model_by_data_(model_by_data),
+    image_size_(image_size),
     configured_region_(region),
     wanted_region_(region)
 {
+}
+
+void ViewTracker::requireSize(const cv::Mat& image) const
+{
+  if (image_size_ && image.size() != *image_size_)
+  {
+    std::ostringstream message;
+    message << "the image is " << image.cols << " x " << image.rows << " px, expected the detector's image_size, "
+            << image_size_->width << " x " << image_size_->height;
+    throw std::invalid_argument(message.str());
+  }
 }
 
 void ViewTracker::startAnew()
@@ -59,6 +73,7 @@ void ViewTracker::takeUp(const cv::Mat& image, std::int64_t stamp_ns, const cv::
                          const std::optional<double>& usual)
 {
   begin(stamp_ns, std::nullopt);
+  requireSize(image);
   std::string fault = check_.look(image, stamp_ns);
   if (fault.empty())
   {
@@ -104,6 +119,7 @@ const ViewAnswer& ViewTracker::answer(const cv::Mat& image, std::int64_t stamp_n
   begin(stamp_ns, training);
   try
   {
+    requireSize(image);
     answer_.fault = check_.look(image, stamp_ns);
     usable_ = answer_.fault.empty();
     if (usable_)

@@ -278,6 +278,11 @@ class HyperplaneTrackerTest(TrackerTestCase):
                                                                       rospy.Time.from_sec(reference)))
             self.assertAlmostEqual(answer.displacement_x, dx, delta=TOLERANCE)
             self.assertAlmostEqual(answer.displacement_y, dy, delta=TOLERANCE)
+        # A driver that bins without saying so: half of the motion would be told.
+        detector.send(self.stamp(), exposure(width=256, height=256))
+        answer = detector.answer()
+        self.assertEqual(answer.state, TrackedRegion.LOST)
+        self.assertEqual(answer.fault, "the image is 256 x 256 px, expected the detector's image_size, 512 x 512")
 
 
 if __name__ == "__main__":

@@ -104,6 +104,35 @@ protected:
   UnconfiguredViewTrackerTest() : ViewTrackerTest(std::nullopt) {}
 };
 
+/// A driver that bins or cuts out, of which camera_info and setup know nothing: pixels are not what they are taken for.
+TEST_F(ViewTrackerTest, imagesOfAnotherSizeTellNothing)
+{
+  const cv::Mat good = exposeAt({ 0.0, 0.0 }, 1);
+  const auto newTrackerOf = [](const cv::Size& size)
+  {
+    return ViewTracker(std::make_unique<HyperplaneTracker>(HyperplaneTrackerOptions(), kCounts), kCounts, 1,
+                       MotionModel::TRANSLATION, false, kRegion, size);
+  };
+  cv::Mat binned, larger;
+  cv::resize(good, binned, good.size() / 2, 0.0, 0.0, cv::INTER_AREA);
+  cv::copyMakeBorder(good, larger, 8, 0, 8, 0, cv::BORDER_REPLICATE);
+  const cv::Mat cut = good(cv::Rect(8, 0, good.cols - 8, good.rows));
+  for (const cv::Mat& wrong : { binned, larger, cut })
+  {
+    ViewTracker tracker = newTrackerOf(good.size());
+    const std::string fault = "the image is " + std::to_string(wrong.cols) + " x " + std::to_string(wrong.rows) +
+                              " px, expected the detector's image_size, 240 x 200";
+    EXPECT_EQ(State::UNTRAINED, tracker.answer(wrong, 1).state);
+    EXPECT_THROW(tracker.takeUp(wrong, 1, kRegion, std::nullopt), std::invalid_argument);
+    EXPECT_EQ(State::TRACKING, tracker.answer(good, 2).state);
+    const ViewAnswer answer = tracker.answer(wrong, 3);
+    EXPECT_FALSE(answer.found());
+    EXPECT_TRUE(answer.error);
+    EXPECT_EQ(fault, answer.fault);
+    EXPECT_EQ(State::TRACKING, tracker.answer(exposeAt({ 0.0, 0.0 }, 2), 4).state);
+  }
+}
+
 TEST_F(ViewTrackerTest, switchesTemplatesWithoutAGap)
 {
   expectTracked(show({ 0.0, 0.0 }), 1, kRegion, { 0.0, 0.0 });

@@ -103,7 +103,11 @@ RunDescription runDescriptionFromText(const std::string& text)
   }
   catch (const nlohmann::json::exception& error)
   {
-    throw std::invalid_argument(std::string(kRunDescriptionTopic) + ": " + error.what());
+    // Without the library's own "[json.exception...] ".
+    const std::string words = error.what();
+    throw std::invalid_argument(std::string(kRunDescriptionTopic) + ": " + words.substr(words.find("] ") + 2) +
+                                "; expected a JSON object with the texts setup and gold_standard, the number epoch_ns "
+                                "and versions, as this project's programs record it");
   }
 }
 
@@ -161,7 +165,7 @@ Recording::Recording(const std::string& path) : path_(path), files_(partsOf(path
     }
     catch (const rosbag::BagException& error)
     {
-      throw std::runtime_error(part + ": " + error.what());
+      throw std::runtime_error(part + ": no bag, cut off or damaged, expected a complete one: " + error.what());
     }
   }
   const auto view = messages([](const rosbag::ConnectionInfo* connection)
@@ -241,28 +245,32 @@ std::string detectorOf(const std::string& topic)
 
 std::string cameraInfoDifference(const sensor_msgs::CameraInfo& info, const ProjectionGeometry& detector)
 {
-  const sensor_msgs::CameraInfo expected = cameraInfoFromGeometry(detector);
-  if (info.width != expected.width || info.height != expected.height)
+  if (const Eigen::Vector2i& size = detector.imageSize();
+      info.width != static_cast<unsigned>(size.x()) || info.height != static_cast<unsigned>(size.y()))
   {
     return "size is " + std::to_string(info.width) + " x " + std::to_string(info.height) + ", expected " +
-           std::to_string(expected.width) + " x " + std::to_string(expected.height);
+           std::to_string(size.x()) + " x " + std::to_string(size.y());
   }
-  const std::array<std::pair<std::size_t, const char*>, 4> named{
-    { { 0, "fx" }, { 5, "fy" }, { 2, "cx" }, { 6, "cy" } }
-  };
-  for (const auto& [i, name] : named)
+  try
   {
-    if (!(std::abs(info.P[i] - expected.P[i]) <= kProjectionTolerance))
+    // By the nodes' own rules of what a camera_info may say.
+    const ProjectionGeometry stated =
+        geometryFromCameraInfo(detector.name(), info, detector.roomFromOptical(), detector.sourceToDetector());
+    Eigen::Vector4d is, expected;
+    is << stated.focalLength(), stated.foot();
+    expected << detector.focalLength(), detector.foot();
+    for (int i = 0; i < 4; ++i)
     {
-      return name + printed(" is %.4f px, expected %.4f", info.P[i], expected.P[i]);
+      if (!(std::abs(is[i] - expected[i]) <= kProjectionTolerance))
+      {
+        constexpr std::array<const char*, 4> kNames{ "fx", "fy", "cx", "cy" };
+        return kNames[i] + printed(" is %.4f px, expected %.4f", is[i], expected[i]);
+      }
     }
   }
-  for (std::size_t i = 0; i < info.P.size(); ++i)
+  catch (const std::invalid_argument& error)
   {
-    if (!(std::abs(info.P[i] - expected.P[i]) <= kProjectionTolerance))
-    {
-      return "P[" + std::to_string(i) + "]" + printed(" is %.4f, expected %.4f", info.P[i], expected.P[i]);
-    }
+    return error.what();
   }
   return "";
 }

@@ -1,7 +1,9 @@
 #include <cmath>
 #include <filesystem>
 #include <iostream>
+#include <sstream>
 
+#include "xray_tracking_core/volume/ct_content.h"
 #include "xray_tracking_core/volume/ct_volume.h"
 #include "xray_tracking_tools/command_line.h"
 #include "xray_tracking_tools/exposure_set.h"
@@ -25,6 +27,16 @@ Eigen::Vector3d targetCentre(const po::variables_map& arguments, const std::stri
   if (!centre.allFinite())
   {
     throw std::invalid_argument("--target has " + std::to_string(target.size()) + " values, expected 3 finite ones");
+  }
+  std::cerr << "reading " << ct_path << std::endl;
+  const Eigen::AlignedBox3d extent = readPatientCt(ct_path, CtContent::RECOGNISED, choice).volume.grid.extent();
+  if (!extent.contains(centre) || !(edge <= extent.sizes().maxCoeff()))
+  {
+    std::ostringstream message;
+    message << "--target is " << centre.transpose() << " mm with an --edge of " << edge << " mm, but " << ct_path
+            << " reaches from " << extent.min().transpose() << " to " << extent.max().transpose()
+            << " mm: expected a point of it (LPS, mm) and an edge that is not longer than it";
+    throw std::invalid_argument(message.str());
   }
   return centre;
 }

@@ -338,10 +338,10 @@ TEST(SetupFromCt, putsTheTargetIntoTheIsocentre)
   writeTestCt(folder.file("ct.nrrd"), ball);
 
   const CommandResult given = run("setup_from_ct " + folder.file("ct.nrrd") + " " + folder.file("given.yaml") +
-                                  " --target 105 -190.5 -1 --edge 30");
+                                  " --target 105 -190.5 299 --edge 30");
   ASSERT_EQ(0, given.status) << given.output;
   const TreatmentSetup setup = loadTreatmentSetup(folder.file("given.yaml"));
-  const Eigen::Vector3d centre(105, -190.5, -1);
+  const Eigen::Vector3d centre(105, -190.5, 299);
   EXPECT_LT((setup.targetCentre() - centre).norm(), 1e-9);
   EXPECT_LT((setup.target_box.sizes() - Eigen::Vector3d::Constant(30)).norm(), 1e-9);
   EXPECT_LT((setup.room_from_patient * centre).norm(), 1e-6);
@@ -373,6 +373,17 @@ TEST(SetupFromCt, endsOnBadInput)
   EXPECT_EQ(1, run("setup_from_ct " + folder.file("ct.nrrd") + " " + out).status);
   EXPECT_TRUE(contains(run("setup_from_ct " + folder.file("ct.nrrd") + " " + out + " --target 1 2").output,
                        "--target has 2 values, expected 3"));
+  // With a target, too, it has to be one of a CT.
+  const auto given = [&](const std::string& ct, const std::string& options)
+  { return run("setup_from_ct " + folder.file(ct) + " " + out + " --target " + options).output; };
+  EXPECT_TRUE(contains(given("ct.nrrd", "105 -190.5 299"), "ct.nrrd"));
+  writeTestCt(folder.file("good.nrrd"), Eigen::Vector3d(110, -195, 305));
+  const char* const outside = "reaches from   61 -239  261 to  139 -161  339 mm: expected a point of it";
+  for (const char* const options :
+       { "105 190.5 299", "-105 -190.5 299", "0.105 -0.1905 0.299", "1e308 -190.5 299", "105 -190.5 299 --edge 3000" })
+  {
+    EXPECT_TRUE(contains(given("good.nrrd", options), outside)) << given("good.nrrd", options);
+  }
   EXPECT_FALSE(std::filesystem::exists(out));
 }
 

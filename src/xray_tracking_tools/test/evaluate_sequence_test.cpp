@@ -2,6 +2,7 @@
 #include <array>
 #include <cstdlib>
 #include <fstream>
+#include <functional>
 #include <iterator>
 #include <map>
 #include <sstream>
@@ -124,6 +125,39 @@ TEST(EvaluateSequence, BagOfCompressedImagesThatAreNotQuiteAtOneTime)
   EXPECT_NE(expected, "");
   EXPECT_EQ(contents(folder.file("near/poses.csv")), expected);
   EXPECT_NE(evaluate("far").find("no exposure with an image_raw of every detector"), std::string::npos);
+}
+
+/// Where a driver's stamps stand still, or an image is none, the command says of which topic and moment.
+TEST(EvaluateSequence, BagOfImagesThatAreNone)
+{
+  const TemporaryFolder folder;
+  writeTestSequence(folder);
+  ASSERT_EQ(0, run("sequence_to_bag " + folder.file("") + " " + folder.file("good.bag")).status);
+  const auto expectWords = [&](const std::function<void(sensor_msgs::Image&)>& change, const std::string& words)
+  {
+    {
+      const rosbag::Bag good(folder.file("good.bag"), rosbag::bagmode::Read);
+      rosbag::Bag bag(folder.file("bad.bag"), rosbag::bagmode::Write);
+      for (const rosbag::MessageInstance& instance : rosbag::View(good))
+      {
+        const auto image = instance.instantiate<sensor_msgs::Image>();
+        if (!image || instance.getTopic() != "/detector_b/image_raw")
+        {
+          bag.write(instance.getTopic(), instance.getTime(), instance);
+          continue;
+        }
+        sensor_msgs::Image changed = *image;
+        change(changed);
+        bag.write(instance.getTopic(), instance.getTime(), changed);
+      }
+    }
+    expectFailure("--methods tracking --bag " + folder.file("bad.bag") + " --out " + folder.file("out"),
+                  "bad.bag: /detector_b/image_raw at 1000.000000000 s: " + words);
+  };
+  expectWords([](sensor_msgs::Image& image) { image.header.stamp = ros::Time(1000); }, "a second image of this stamp");
+  expectWords([](sensor_msgs::Image& image) { image.encoding = "rgb8"; }, "image.encoding is 'rgb8'");
+  expectWords([](sensor_msgs::Image& image) { image.data.resize(10); }, "image is 8 x 6 pixels in 10 bytes");
+  expectWords([](sensor_msgs::Image& image) { image.height = 3; }, "is 8 x 3 px, expected 8 x 6");
 }
 
 /// Images of 8 x 6 pixels have no region to track: that is said of every exposure, and all files are there.

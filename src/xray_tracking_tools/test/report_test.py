@@ -251,6 +251,39 @@ class Reports(Folder):
         write_results(self.path('r'), {'tracking': [numpy.nan] * 3}, [0.0, 1.0, 2.0])
         self.assertIn('no pose', self.text_of('r'))
 
+    def test_files_that_are_not_results_are_named(self):
+        """Cut off, of other columns, bytes, other JSON: the command says which, and is no traceback."""
+        def first_field(value):
+            return lambda text: text.replace('\n0,', f'\n{value},', 1)
+        bad = {
+            'tre.csv': ['', 'frame,stamp_s\n0,0\n', '\x00\x01\n', lambda text: text[:-30], first_field('1e9'),
+                        first_field('-1'), first_field('nan'), first_field('0.5'), first_field('x'), first_field(''),
+                        lambda text: text.replace('0,0.000000000,', '3,0.000000000,', 1),
+                        lambda text: text.replace(',1.0,', ',one,', 1)],
+            'poses.csv': ['frame,stamp_s\n0,0\n', lambda text: text[:-3], first_field('99'),
+                          lambda text: text.replace(',0,0,0,1\n', ',0,0,0,0\n', 1)],
+            'exposures.csv': [first_field('99'), lambda text: text.replace('gate_text', 'words')],
+            'times.csv': ['frame,stamp_s\n0,0\n'],
+            'gold_standard.csv': [first_field('99')],
+            'summary.json': ['', '[1]', 'null', '{"sequence"'],
+            'run.json': ['null', '"x"'],
+        }
+        write_results(self.path('good'), {'tracking': [0.0, 1.0, 1.0]}, [0.0, 1.0, 2.0])
+        report.write(self.path('good'))
+        for name, contents in bad.items():
+            with open(os.path.join(self.path('good'), name), encoding='utf-8') as file:
+                text = file.read()
+            for content in contents:
+                changed = content if isinstance(content, str) else content(text)
+                self.assertNotEqual(changed, text)
+                shutil.rmtree(self.path('bad'), ignore_errors=True)
+                shutil.copytree(self.path('good'), self.path('bad'))
+                with open(os.path.join(self.path('bad'), name), 'w', encoding='utf-8') as file:
+                    file.write(changed)
+                with self.subTest(name=name, content=changed):
+                    with self.assertRaisesRegex(results.ResultsError, name):
+                        report.write(self.path('bad'))
+
     def test_command_names_what_is_missing(self):
         done = subprocess.run([os.path.join(SCRIPTS, 'write_report'), self.folder], capture_output=True, text=True)
         self.assertEqual(1, done.returncode)

@@ -1,8 +1,10 @@
 #include "xray_tracking_tools/sequence_bag.h"
 
+#include <cmath>
 #include <cstdlib>
 #include <cstring>
 #include <fstream>
+#include <functional>
 #include <iterator>
 
 #include <geometry_msgs/PoseStamped.h>
@@ -13,6 +15,7 @@
 #include <sensor_msgs/Image.h>
 
 #include "test_helpers.h"
+#include "xray_tracking_conversions/conversions.h"
 #include "xray_tracking_tools/bag_sequence.h"
 
 namespace xray_tracking
@@ -285,6 +288,65 @@ TEST(BagSequence, TakesWhatIsComplete)
   EXPECT_EQ(21, sequence.image(1, 1).at<std::uint16_t>(3, 3));
   EXPECT_DOUBLE_EQ(100.0 + 2.0 / 3.0, sequence.gold_standard[1].room_from_patient.translation().x());
   EXPECT_EQ(6, std::distance(std::filesystem::directory_iterator(folder.file("sequence")), {}) - 3);
+}
+
+/// What says that the images are of another geometry than the setup's, or of none, is not read as the setup's.
+TEST(BagSequence, GoesByWhatCameraInfosSay)
+{
+  const TemporaryFolder folder;
+  writeAwkwardSequence(folder);
+  const Sequence sequence = loadSequence(folder.file(""));
+  const sensor_msgs::CameraInfo good = cameraInfoFromGeometry(sequence.setup.detectors[1]);
+  struct Case
+  {
+    std::function<void(sensor_msgs::CameraInfo&)> change;
+    const char* said;  ///< empty: it is taken
+  };
+  using Info = sensor_msgs::CameraInfo;
+  const Case cases[] = {
+    { [](Info&) {}, "" },
+    { [](Info& info) { info.P.fill(0.0); }, "" },  // as drivers of one camera leave it
+    { [](Info& info) { info.K.fill(0.0); }, "K[0] is 0" },
+    { [](Info& info) { info.K.fill(std::nan("")); }, "K[0] is nan" },
+    { [](Info& info) { info.K[0] *= 2.0; }, "P[0]" },
+    { [](Info& info) { info.K[0] *= 2.0, info.P.fill(0.0); }, "fx is " },
+    { [](Info& info) { info.K[5] += 1.0, info.P.fill(0.0); }, "cy is " },
+    { [](Info& info) { info.K[1] = 5.0; }, "K[1] is 5" },
+    { [](Info& info) {
+       info.D = { 0.1, 0.0, 0.0, 0.0, 0.0 };
+     },
+      "D[0] is 0.1" },
+    { [](Info& info) { info.R[0] = -1.0; }, "R[0] is -1" },
+    { [](Info& info) { info.binning_x = 2; }, "binning_x is 2" },
+    { [](Info& info) { info.roi.x_offset = 1; }, "roi is " },
+    { [](Info& info) { ++info.width; }, "size is " },
+  };
+  for (const Case& each : cases)
+  {
+    sensor_msgs::CameraInfo info = good;
+    each.change(info);
+    const std::string difference = cameraInfoDifference(info, sequence.setup.detectors[1]);
+    EXPECT_EQ(*each.said == '\0', difference.empty()) << each.said << ": " << difference;
+    EXPECT_NE(std::string::npos, difference.find(each.said)) << difference;
+  }
+
+  writeSequenceBag(sequence, folder.file("a.bag"), noProgress);
+  {
+    rosbag::Bag bag(folder.file("a.bag"), rosbag::bagmode::Append);
+    sensor_msgs::CameraInfo distorted = good;
+    distorted.D = { 0.1, 0.0, 0.0, 0.0, 0.0 };
+    distorted.header.stamp = ros::Time(1000);
+    bag.write("/detector_b/camera_info", ros::Time(1000), distorted);
+  }
+  for (const std::string& command :
+       { "bag_to_sequence " + folder.file("a.bag") + " ",
+         "evaluate_sequence --methods tracking --bag " + folder.file("a.bag") + " --out " })
+  {
+    const CommandResult result = runShell(std::string(COMMAND_DIR) + "/" + command + folder.file("out"));
+    EXPECT_EQ(1, result.status);
+    EXPECT_NE(std::string::npos, result.output.find("D[0] is 0.1")) << result.output;
+    EXPECT_FALSE(std::filesystem::exists(folder.file("out")));
+  }
 }
 
 TEST(SequenceBag, refusesStampsThatRosTimeCannotHold)

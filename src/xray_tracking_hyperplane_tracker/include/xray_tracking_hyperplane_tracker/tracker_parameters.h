@@ -24,20 +24,21 @@ struct TrackerParameters
   std::vector<double> ranges{ 10.8, 4.3, 1.35 };
   double convergence = 0.0135;
   double max_predicted_sd = 0.08;
-  std::string detector;            ///< name in the setup file
-  std::string setup_file;          ///< path; empty: none
-  std::optional<cv::Rect> region;  ///< [px], goes before what the setup file says
-  int queue_size = 20;             ///< exposures that wait while a template is learnt
-  double max_wait = 0.5;           ///< of an exposure, after which newer ones go before it [s]
-  double train_timeout = 10.0;     ///< for the exposure that training services wait for [s]
-  double image_timeout = 2.0;      ///< without an exposure after which diagnostics say so [s]
-  bool overlay_points = true;      ///< whether the debug image shows residuals
-  bool keep_for_restart = false;   ///< on disk, the template for a tracker in the place of this one
+  std::string detector;                ///< name in the setup file
+  std::string setup_file;              ///< path; empty: none
+  std::optional<cv::Rect> region;      ///< [px], goes before what the setup file says
+  std::optional<cv::Size> image_size;  ///< the setup file's [px]
+  int queue_size = 20;                 ///< exposures that wait while a template is learnt
+  double max_wait = 0.5;               ///< of an exposure, after which newer ones go before it [s]
+  double train_timeout = 10.0;         ///< for the exposure that training services wait for [s]
+  double image_timeout = 2.0;          ///< without an exposure after which diagnostics say so [s]
+  bool overlay_points = true;          ///< whether the debug image shows residuals
+  bool keep_for_restart = false;       ///< on disk, the template for a tracker in the place of this one
 
   /// Sets the tracker's options to these lengths. @param pixel size of the detector's pixels at the target [mm]
   void scaleTo(double pixel);
 
-  /// Takes the scale of lengths, and the region if there is none, from the setup's `detector`.
+  /// Takes the scale of lengths, the size of images, and the region if there is none, from the setup's `detector`.
   /// @throws std::invalid_argument if there is no such detector, or the target is behind its source
   void adopt(const TreatmentSetup& setup);
 

@@ -72,8 +72,11 @@ public:
   /// @param reduction as RegionSearch's
   /// @param model_by_data of a Euclidean tracker: a rotation that is not told from none (tellsRotation) is none
   /// @param region to learn the first template of [px]; none: only that of a Training
+  /// @param image_size of the detector [px]: another one's pixels are of another size or place, and its motion is not
+  /// told; none: any
   ViewTracker(std::unique_ptr<RegionTracker> tracker, const IntensityModel& intensity, int reduction, MotionModel model,
-              bool model_by_data, const std::optional<cv::Rect>& region);
+              bool model_by_data, const std::optional<cv::Rect>& region,
+              const std::optional<cv::Size>& image_size = std::nullopt);
 
   /// Takes in the next exposure. Never throws: what is wrong with it is the answer's fault.
   /// @param image as RegionTracker takes it; @param stamp_ns newer than those before
@@ -95,7 +98,7 @@ public:
   /// exposure proves that it is there. With no template so far.
   /// @param image, stamp_ns that it was learnt on; @param wanted its wantedRegion(); @param usual its
   /// usualUnexplained(), which proves what is found
-  /// @throws std::invalid_argument as RegionTracker::train
+  /// @throws std::invalid_argument as RegionTracker::train, or if the image is of another size
   void takeUp(const cv::Mat& image, std::int64_t stamp_ns, const cv::Rect& wanted, const std::optional<double>& usual);
   /// As RecoveringTracker's.
   const std::optional<double>& usualUnexplained() const { return tracker_.usualUnexplained(); }
@@ -110,6 +113,8 @@ public:
   const TrackResult& lastTrack() const { return tracker_.result(); }
 
 private:
+  /// @throws std::invalid_argument if it is not
+  void requireSize(const cv::Mat& image) const;
   void begin(std::int64_t stamp_ns, const std::optional<Training>& training);
   /// With what is known of the template.
   const ViewAnswer& finished();
@@ -126,6 +131,7 @@ private:
   IntensityModel intensity_;
   MotionModel model_;
   bool model_by_data_;
+  std::optional<cv::Size> image_size_;
   std::optional<cv::Rect> configured_region_;
   std::optional<cv::Rect> wanted_region_;
   std::int64_t reference_stamp_ns_ = 0;

@@ -61,6 +61,7 @@ void TrackerParameters::adopt(const TreatmentSetup& setup)
     throw std::invalid_argument("the target is not in front of the source of " + geometry.name());
   }
   scaleTo(geometry.pixelPitch().mean() / magnification);
+  image_size = cv::Size(geometry.imageSize().x(), geometry.imageSize().y());
   const auto given = setup.regions.find(detector);
   if (!region)
   {

@@ -195,7 +195,7 @@ void TrackerWorker::makeTracker()
   auto hyperplane = std::make_unique<HyperplaneTracker>(parameters_.tracker, intensity_);
   hyperplane_ = hyperplane.get();
   tracker_.emplace(std::move(hyperplane), intensity_, parameters_.tracker.reduction, parameters_.tracker.model,
-                   parameters_.model_by_data, parameters_.region);
+                   parameters_.model_by_data, parameters_.region, parameters_.image_size);
 }
 
 void TrackerWorker::takeUp()

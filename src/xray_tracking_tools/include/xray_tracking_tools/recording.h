@@ -79,7 +79,8 @@ std::string lastName(const std::string& topic);
 /// `detector_a` of it
 std::string detectorOf(const std::string& topic);
 
-/// In what a camera_info differs from the detector, beyond a thousandth of a pixel: "fx is 9400.0, expected 9500.0".
-/// Empty: in nothing.
+/// In what a camera_info differs from the detector, beyond a thousandth of a pixel: "fx is 9400.0, expected 9500.0"; or
+/// what makes it none that geometryFromCameraInfo() takes: distortion, binning, a K that is no pinhole's. Empty: in
+/// nothing.
 std::string cameraInfoDifference(const sensor_msgs::CameraInfo& info, const ProjectionGeometry& detector);
 }  // namespace xray_tracking

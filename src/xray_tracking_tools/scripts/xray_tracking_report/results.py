@@ -15,28 +15,60 @@ class ResultsError(Exception):
     """Names the file and what is wrong with it."""
 
 
+class Row(dict):
+    """Of a table; names file and line where a field is not what it should be."""
+
+    def __init__(self, where, fields):
+        super().__init__(fields)
+        self.where = where
+
+    def __missing__(self, column):
+        raise ResultsError(f'{self.where}: there is no column {column}')
+
+    def number(self, column):
+        """NaN for an empty field."""
+        try:
+            return float(self[column]) if self[column] != '' else numpy.nan
+        except ValueError as error:
+            raise ResultsError(f"{self.where}: {column} is '{self[column]}', expected a number or nothing") from error
+
+    def frame(self, frames):
+        """Index of an exposure, of so many."""
+        value = self.number('frame')
+        if not (0 <= value < frames and value == int(value)):
+            raise ResultsError(f"{self.where}: frame is '{self['frame']}', expected 0 to {frames - 1}")
+        return int(value)
+
+
 def read_table(path):
-    """Rows of a CSV file as dictionaries."""
+    """Rows of a CSV file by column."""
+    rows = []
     try:
         with open(path, newline='', encoding='utf-8', errors='replace') as file:
-            return list(csv.DictReader(file))
+            reader = csv.DictReader(file)
+            for fields in reader:
+                where = f'{path}, line {reader.line_num}'
+                if None in fields or None in fields.values():
+                    raise ResultsError(f'{where}: expected {len(reader.fieldnames)} fields; is the file cut off?')
+                rows.append(Row(where, fields))
     except OSError as error:
         raise ResultsError(f'{path}: {error.strerror}') from error
+    except csv.Error as error:
+        raise ResultsError(f'{path}: no table: {error}') from error
+    return rows
 
 
 def read_json(path):
     try:
         with open(path, encoding='utf-8') as file:
-            return json.load(file)
+            content = json.load(file)
     except OSError as error:
         raise ResultsError(f'{path}: {error.strerror}') from error
     except ValueError as error:
         raise ResultsError(f'{path}: {error}') from error
-
-
-def number(text):
-    """NaN for an empty field."""
-    return float(text) if text not in (None, '') else numpy.nan
+    if not isinstance(content, dict):
+        raise ResultsError(f'{path}: expected a JSON object')
+    return content
 
 
 class Poses:
@@ -53,9 +85,12 @@ class Poses:
         self.rotation[frame] = rotation.apply(numpy.eye(3)).T
 
     def read(self, frame, row):
-        values = [number(row[key]) for key in ('tx_mm', 'ty_mm', 'tz_mm', 'qx', 'qy', 'qz', 'qw')]
+        values = [row.number(key) for key in ('tx_mm', 'ty_mm', 'tz_mm', 'qx', 'qy', 'qz', 'qw')]
         if numpy.isfinite(values).all():
-            self.set(frame, values[:3], Rotation.from_quat(values[3:]))
+            try:
+                self.set(frame, values[:3], Rotation.from_quat(values[3:]))
+            except ValueError as error:
+                raise ResultsError(f'{row.where}: qx, qy, qz, qw are {values[3:]}, expected a rotation') from error
 
     def of(self, point):
         """Where a point of the patient is in every frame [mm]."""
@@ -135,8 +170,12 @@ class Results:
         return None if box is None else (numpy.array(box['min']), numpy.array(box['max']))
 
     def _read(self, part):
-        errors = read_table(os.path.join(part, 'tre.csv'))
-        stamps = sorted({(int(row['frame']), float(row['stamp_s'])) for row in errors})
+        path = os.path.join(part, 'tre.csv')
+        errors = read_table(path)
+        stamps = sorted({(row.frame(len(errors)), row.number('stamp_s')) for row in errors})
+        grow = all(before < after for (_, before), (_, after) in zip(stamps, stamps[1:]))
+        if not stamps or not grow or [frame for frame, _ in stamps] != list(range(len(stamps))):
+            raise ResultsError(f'{path}: expected exposures, with frames from 0 on and stamps that grow')
         stamps = numpy.array([stamp for _, stamp in stamps])
         if self.stamps is None:
             self.stamps = stamps
@@ -146,12 +185,12 @@ class Results:
                                f'methods in {self.folder}')
         for row in errors:
             method = self._method(row['method'])
-            frame = int(row['frame'])
-            method.tre[frame] = number(row['tre_mm'])
+            frame = row.frame(self.frames)
+            method.tre[frame] = row.number('tre_mm')
             method.status[frame] = row['status']
-            method.cpu[frame] = number(row['cpu_s'])
+            method.cpu[frame] = row.number('cpu_s')
         for row in read_table(os.path.join(part, 'poses.csv')):
-            self._method(row['method']).poses.read(int(row['frame']), row)
+            self._method(row['method']).poses.read(row.frame(self.frames), row)
         self._read_further(part)
 
     def _read_further(self, part):
@@ -162,24 +201,24 @@ class Results:
         upper = [(i, j) for i in range(6) for j in range(i, 6)]
         for row in rows('exposures.csv'):
             method = self._method(row['method'])
-            frame = int(row['frame'])
+            frame = row.frame(self.frames)
             for key in ('source', 'reason', 'gate', 'gate_text'):
                 getattr(method, key)[frame] = row[key]
-            method.disagreement[frame] = number(row['disagreement_px'])
+            method.disagreement[frame] = row.number('disagreement_px')
             for i, j in upper:
-                method.covariance[frame, i, j] = method.covariance[frame, j, i] = number(row[f'c{i + 1}{j + 1}'])
+                method.covariance[frame, i, j] = method.covariance[frame, j, i] = row.number(f'c{i + 1}{j + 1}')
         for row in rows('times.csv'):
             method = self._method(row['method'])
-            method.cpu[int(row['frame'])] = number(row['cpu_s'])
-            method.registration_cpu[int(row['frame'])] = number(row['registration_cpu_s'])
+            method.cpu[row.frame(self.frames)] = row.number('cpu_s')
+            method.registration_cpu[row.frame(self.frames)] = row.number('registration_cpu_s')
         for row in rows('views.csv'):
-            corners = numpy.array([[number(row[f'x{i}']), number(row[f'y{i}'])] for i in (1, 2, 3, 4)])
+            corners = numpy.array([[row.number(f'x{i}'), row.number(f'y{i}')] for i in (1, 2, 3, 4)])
             if numpy.isfinite(corners).all():
-                self._method(row['method']).regions[int(row['frame']), row['detector']] = corners
+                self._method(row['method']).regions[row.frame(self.frames), row['detector']] = corners
         for row in rows('gold_standard.csv'):
             if self.gold is None:
                 self.gold = Poses(self.frames)
-            self.gold.read(int(row['frame']), row)
+            self.gold.read(row.frame(self.frames), row)
         if os.path.exists(os.path.join(part, 'run.json')):
             self.runs.append((part, read_json(os.path.join(part, 'run.json'))))
 

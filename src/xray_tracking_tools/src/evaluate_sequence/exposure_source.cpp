@@ -4,6 +4,7 @@
 #include <map>
 #include <memory>
 #include <optional>
+#include <sstream>
 #include <stdexcept>
 #include <utility>
 
@@ -86,7 +87,12 @@ public:
       {
         if (const std::optional<std::int64_t> stamp = stampOf(instance))
         {
-          exposures[*stamp].images[detector->name()] = { topic, instance.getTime(), *stamp };
+          const BagImage image{ topic, instance.getTime(), *stamp };
+          if (!exposures[*stamp].images.emplace(detector->name(), image).second)
+          {
+            // Which of them is of the other views' moment nobody knows.
+            throw std::runtime_error(where(image) + "a second image of this stamp: is it a loop? Expected one");
+          }
         }
       }
     }
@@ -94,22 +100,44 @@ public:
     return exposures;
   }
 
-  cv::Mat read(const BagImage& at)
+  cv::Mat read(const BagImage& at, const ProjectionGeometry& detector)
   {
     const auto view = recording_.messages(at.topic, at.time);
     for (const rosbag::MessageInstance& instance : *view)
     {
-      if (stampOf(instance) == at.stamp_ns)
+      if (stampOf(instance) != at.stamp_ns)
+      {
+        continue;
+      }
+      try
       {
         const auto image = instance.instantiate<sensor_msgs::Image>();
-        return image ? pixelsFromMsg(*image).clone()
-                     : pixelsFromMsg(*instance.instantiate<sensor_msgs::CompressedImage>());
+        cv::Mat pixels = image ? pixelsFromMsg(*image).clone()
+                               : pixelsFromMsg(*instance.instantiate<sensor_msgs::CompressedImage>());
+        if (const Eigen::Vector2i& size = detector.imageSize(); pixels.cols != size.x() || pixels.rows != size.y())
+        {
+          std::ostringstream message;
+          message << "is " << pixels.cols << " x " << pixels.rows << " px, expected " << size.x() << " x " << size.y();
+          throw std::runtime_error(message.str());
+        }
+        return pixels;
+      }
+      catch (const std::exception& error)
+      {
+        throw std::runtime_error(recording_.path() + ": " + where(at) + error.what());
       }
     }
     throw std::runtime_error(recording_.path() + ": " + at.topic + " has changed while it was read");
   }
 
 private:
+  static std::string where(const BagImage& at)
+  {
+    std::ostringstream text;
+    text << at.topic << " at " << timeFromNanoseconds(at.stamp_ns) << " s: ";
+    return text.str();
+  }
+
   /// Of an image, compressed or not.
   static std::optional<std::int64_t> stampOf(const rosbag::MessageInstance& instance)
   {
@@ -245,7 +273,7 @@ ExposureSource bagSource(const std::string& bag_path, const std::string& setup_p
       std::vector<cv::Mat> images;
       for (const ProjectionGeometry& detector : detectors)
       {
-        images.push_back(reader->read(complete[k].images.at(detector.name())));
+        images.push_back(reader->read(complete[k].images.at(detector.name()), detector));
       }
       return images;
     };

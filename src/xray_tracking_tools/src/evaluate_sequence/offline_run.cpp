@@ -53,7 +53,7 @@ std::unique_ptr<ViewTracker> makeTracker(const TreatmentSetup& setup, const Proj
   parameters.validate();
   return std::make_unique<ViewTracker>(std::make_unique<HyperplaneTracker>(parameters.tracker, setup.intensity),
                                        setup.intensity, parameters.tracker.reduction, parameters.tracker.model,
-                                       parameters.model_by_data, parameters.region);
+                                       parameters.model_by_data, parameters.region, parameters.image_size);
 }
 
 TrackedView trackedView(const ViewAnswer& answer)
