@@ -232,8 +232,8 @@ sensor_msgs::CameraInfo cameraInfoFromGeometry(const ProjectionGeometry& geometr
   info.height = static_cast<std::uint32_t>(geometry.imageSize().y());
   info.distortion_model = "plumb_bob";
   info.D.assign(5, 0.0);
-  const Eigen::Vector2d focal = geometry.focalLength();
-  const Eigen::Vector2d foot = geometry.foot();
+  const Eigen::Vector2d& focal = geometry.focalLength();
+  const Eigen::Vector2d& foot = geometry.foot();
   info.K = { focal.x(), 0.0, foot.x(), 0.0, focal.y(), foot.y(), 0.0, 0.0, 1.0 };
   info.R = { 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0 };
   info.P = { focal.x(), 0.0, foot.x(), 0.0, 0.0, focal.y(), foot.y(), 0.0, 0.0, 0.0, 1.0, 0.0 };

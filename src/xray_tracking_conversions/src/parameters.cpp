@@ -86,8 +86,8 @@ ParameterReader::ParameterReader(const ros::NodeHandle& handle) : name_space_(ha
   handle.getParam(name_space_, values_);
 }
 
-ParameterReader::ParameterReader(std::string name_space, XmlRpcValue values)
-  : name_space_(std::move(name_space)), values_(std::move(values))
+ParameterReader::ParameterReader(std::string name_space, const XmlRpcValue& values)
+  : name_space_(std::move(name_space)), values_(values)
 {
 }
 

@@ -143,6 +143,16 @@ protected:
   /// The first view's next template, learnt where the target is in the latest exposure.
   void learn(const Eigen::Vector3d& motion) { trained[0] = { stamp, motion }; }
 
+  /// The first view learns its template, at the initial pose, while something hides the target.
+  void learnWhatHides()
+  {
+    start();
+    see({ 0.0, 0.0, 0.0 }, kClear);
+    see({ 0.0, 0.0, 0.0 }, kClear);
+    learn({ 0.0, 0.0, 0.0 });
+    see({ 0.0, 0.0, 0.0 }, kHidden);
+  }
+
   void expectProposal(const Eigen::Vector3d& motion)
   {
     const std::optional<RegionProposal> proposal = monitor->takeProposal();
@@ -275,11 +285,7 @@ TEST_F(HiddenViewTest, WhatHidTheTargetWhenItWasLearntIsLearntAnew)
 /// Such a template is none of a stated pose either, whose region it may cover.
 TEST_F(HiddenViewTest, WhatHidTheTargetWhenItWasLearntIsLearntAnewAfterAClaimToo)
 {
-  start();
-  see({ 0.0, 0.0, 0.0 }, kClear);
-  see({ 0.0, 0.0, 0.0 }, kClear);
-  learn({ 0.0, 0.0, 0.0 });
-  see({ 0.0, 0.0, 0.0 }, kHidden);
+  learnWhatHides();
   EXPECT_EQ("", monitor->claim(initialPose(), now));
   monitor->onReply(believed(request().id, { 0.0, 0.0, 0.0 }), now);
   EXPECT_EQ("", monitor->takeOutcome().value_or(ClaimOutcome{ "no outcome" }).refusal);
@@ -301,11 +307,7 @@ TEST_F(HiddenViewTest, WhatHidTheTargetWhenItWasLearntIsLearntAnewAfterAClaimToo
 /// That the patient is at the initial pose makes no target of what was learnt.
 TEST_F(HiddenViewTest, WhatHidTheTargetWhenItWasLearntIsLearntAnewAfterARestartToo)
 {
-  start();
-  see({ 0.0, 0.0, 0.0 }, kClear);
-  see({ 0.0, 0.0, 0.0 }, kClear);
-  learn({ 0.0, 0.0, 0.0 });
-  see({ 0.0, 0.0, 0.0 }, kHidden);
+  learnWhatHides();
   monitor->restart("");
   expose({ 0.0, 0.0, 0.0 });
   monitor->onReply(doubted(request().id), now);

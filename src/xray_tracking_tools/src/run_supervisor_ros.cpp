@@ -98,7 +98,7 @@ void addRequiredSubscribers(XmlRpc::XmlRpcValue& value, const std::string& key, 
 }
 }  // namespace
 
-RunSupervisorRos::RunSupervisorRos(ros::NodeHandle nh, ros::NodeHandle pnh)
+RunSupervisorRos::RunSupervisorRos(ros::NodeHandle nh, const ros::NodeHandle& pnh)
 {
   ParameterReader reader(pnh);
   const int exposures = reader.read("exposures", 0);

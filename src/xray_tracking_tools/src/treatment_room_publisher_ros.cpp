@@ -47,7 +47,7 @@ nlohmann::json jsonOf(XmlRpc::XmlRpcValue value)
 }
 }  // namespace
 
-TreatmentRoomPublisherRos::TreatmentRoomPublisherRos(ros::NodeHandle nh, ros::NodeHandle pnh) : nh_(nh)
+TreatmentRoomPublisherRos::TreatmentRoomPublisherRos(const ros::NodeHandle& nh, const ros::NodeHandle& pnh) : nh_(nh)
 {
   try
   {

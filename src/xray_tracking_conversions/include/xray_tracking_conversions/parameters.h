@@ -18,7 +18,7 @@ public:
   explicit ParameterReader(const ros::NodeHandle& handle);
   /// @param name_space without a slash at its end; @param values a struct of them, as the parameter server has it, or
   /// nothing
-  ParameterReader(std::string name_space, XmlRpc::XmlRpcValue values);
+  ParameterReader(std::string name_space, const XmlRpc::XmlRpcValue& values);
 
   /// "/node/gate/max_age"
   std::string nameOf(const std::string& key) const { return name_space_ + "/" + key; }

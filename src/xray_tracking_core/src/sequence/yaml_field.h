@@ -280,8 +280,8 @@ private:
     }
   }
 
-  YamlField(std::string file, std::string key, YAML::Node node)
-    : file_(std::move(file)), key_(std::move(key)), node_(std::move(node))
+  YamlField(std::string file, std::string key, const YAML::Node& node)
+    : file_(std::move(file)), key_(std::move(key)), node_(node)
   {
   }
 

@@ -48,8 +48,8 @@ AlignmentServer::AlignmentServer(const ros::NodeHandle& pnh, Claim claim, std::f
   : claim_(std::move(claim)),
     withdrawn_(std::move(withdrawn)),
     server_(
-        pnh, "align", [this](Server::GoalHandle goal) { goalCb(std::move(goal)); },
-        [this](Server::GoalHandle goal) { cancelCb(std::move(goal)); }, false)
+        pnh, "align", [this](const Server::GoalHandle& goal) { goalCb(goal); },
+        [this](const Server::GoalHandle& goal) { cancelCb(goal); }, false)
 {
   server_.start();
 }

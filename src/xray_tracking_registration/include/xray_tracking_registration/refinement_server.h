@@ -53,7 +53,7 @@ private:
   bool refinePoseCb(xray_tracking_msgs::RefinePose::Request& request,
                     xray_tracking_msgs::RefinePose::Response& response);
   void goalCb(GoalHandle goal);
-  void cancelCb(GoalHandle goal);
+  void cancelCb(const GoalHandle& goal);
   void workOnGoals();
   /// Takes the place of the one request; @return false if there is one already
   bool claim();

@@ -17,8 +17,8 @@ RefinementServer::RefinementServer(const ros::NodeHandle& pnh, Work work, std::f
   : work_(std::move(work)),
     on_broken_off_(std::move(broken_off)),
     action_server_(
-        pnh, "refine_pose", [this](GoalHandle goal) { goalCb(goal); }, [this](GoalHandle goal) { cancelCb(goal); },
-        false)
+        pnh, "refine_pose", [this](const GoalHandle& goal) { goalCb(goal); },
+        [this](const GoalHandle& goal) { cancelCb(goal); }, false)
 {
   service_ = ros::NodeHandle(pnh).advertiseService("refine_pose", &RefinementServer::refinePoseCb, this);
   action_server_.start();
@@ -87,7 +87,7 @@ void RefinementServer::goalCb(GoalHandle goal)
   wake_.notify_all();
 }
 
-void RefinementServer::cancelCb(GoalHandle goal)
+void RefinementServer::cancelCb(const GoalHandle& goal)
 {
   {
     const std::lock_guard<std::mutex> lock(mutex_);

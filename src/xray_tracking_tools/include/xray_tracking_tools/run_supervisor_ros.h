@@ -29,7 +29,7 @@ class RunSupervisorRos
 {
 public:
   /// @throws std::invalid_argument naming the parameter, its value and what was expected
-  RunSupervisorRos(ros::NodeHandle nh, ros::NodeHandle pnh);
+  RunSupervisorRos(ros::NodeHandle nh, const ros::NodeHandle& pnh);
 
   /// Handles messages until the run is over or ROS shuts down. @return exit status: 0 if every exposure was answered
   int run();

@@ -28,7 +28,7 @@ namespace xray_tracking
 class TreatmentRoomPublisherRos
 {
 public:
-  TreatmentRoomPublisherRos(ros::NodeHandle nh, ros::NodeHandle pnh);
+  TreatmentRoomPublisherRos(const ros::NodeHandle& nh, const ros::NodeHandle& pnh);
 
 private:
   void start(const ros::NodeHandle& pnh);

@@ -101,8 +101,7 @@ void misstate(Start start, std::mt19937& random, TreatmentSetup& setup)
 
 const char* startName(Start start)
 {
-  static constexpr std::array<const char*, 6> kNames{ "right",     "off",      "next vertebra",
-                                                      "exchanged", "mirrored", "other ct" };
+  static const char* const kNames[] = { "right", "off", "next vertebra", "exchanged", "mirrored", "other ct" };
   return kNames[static_cast<std::size_t>(start)];
 }
 
