@@ -49,6 +49,17 @@ void* operator new(std::size_t size)
 {
   return HeapWatch::allocate(size, alignof(std::max_align_t));
 }
+void* operator new(std::size_t size, const std::nothrow_t&) noexcept
+{
+  try
+  {
+    return operator new(size);
+  }
+  catch (const std::bad_alloc&)
+  {
+    return nullptr;
+  }
+}
 void* operator new(std::size_t size, std::align_val_t alignment)
 {
   return HeapWatch::allocate(size, static_cast<std::size_t>(alignment));

@@ -127,6 +127,48 @@ TEST(EvaluateSequence, BagOfCompressedImagesThatAreNotQuiteAtOneTime)
   EXPECT_NE(evaluate("far").find("no exposure with an image_raw of every detector"), std::string::npos);
 }
 
+/// A recording of a loop has each image more than once, one of all topics in two forms.
+TEST(EvaluateSequence, BagOfALoopInBothForms)
+{
+  const TemporaryFolder folder;
+  writeTestSequence(folder);
+  ASSERT_EQ(0, run("sequence_to_bag " + folder.file("") + " " + folder.file("once.bag")).status);
+  {
+    const rosbag::Bag once(folder.file("once.bag"), rosbag::bagmode::Read);
+    rosbag::Bag bag(folder.file("loop.bag"), rosbag::bagmode::Write);
+    sensor_msgs::CompressedImage compressed;  // would be refused for its size
+    compressed.format = "mono16; png compressed ";
+    cv::imencode(".png", cv::Mat1w::ones(2, 2), compressed.data);
+    for (const double pass : { 0.0, 10.0 })
+    {
+      for (const rosbag::MessageInstance& instance : rosbag::View(once))
+      {
+        const ros::Time time = instance.getTime() + ros::Duration(pass);
+        const auto image = instance.instantiate<sensor_msgs::Image>();
+        const bool first = instance.getTopic() == "/detector_a/image_raw";
+        compressed.header = image ? image->header : compressed.header;
+        if (image && first)
+        {
+          bag.write(instance.getTopic() + "/compressed", time, compressed);
+        }
+        bag.write(instance.getTopic(), time, instance);
+        if (image && !first)
+        {
+          bag.write(instance.getTopic() + "/compressed", time, compressed);
+        }
+      }
+    }
+  }
+  for (const std::string name : { "once", "loop" })
+  {
+    const CommandResult result =
+        run("evaluate_sequence --bag " + folder.file(name + ".bag") + " --methods tracking --out " + folder.file(name));
+    EXPECT_NE(result.output.find("frame 4 of tracking lost: detector_a is untrained"), std::string::npos)
+        << result.output;
+  }
+  EXPECT_EQ(contents(folder.file("loop/poses.csv")), contents(folder.file("once/poses.csv")));
+}
+
 /// Where a driver's stamps stand still, or an image is none, the command says of which topic and moment.
 TEST(EvaluateSequence, BagOfImagesThatAreNone)
 {

@@ -1,11 +1,13 @@
 #include "exposure_source.h"
 
 #include <filesystem>
+#include <functional>
 #include <map>
 #include <memory>
 #include <optional>
 #include <sstream>
 #include <stdexcept>
+#include <string_view>
 #include <utility>
 
 #include <geometry_msgs/PoseStamped.h>
@@ -30,6 +32,7 @@ struct BagImage
   std::string topic;
   ros::Time time;  ///< of the message in the bag
   std::int64_t stamp_ns;
+  std::size_t content;  ///< hash of its data
 };
 
 /// What a bag has of an exposure.
@@ -85,14 +88,9 @@ public:
       }
       else if (detector != setup.detectors.end() && lastName(raw_topic) == "image_raw")
       {
-        if (const std::optional<std::int64_t> stamp = stampOf(instance))
+        if (const std::optional<BagImage> image = imageOf(instance))
         {
-          const BagImage image{ topic, instance.getTime(), *stamp };
-          if (!exposures[*stamp].images.emplace(detector->name(), image).second)
-          {
-            // Which of them is of the other views' moment nobody knows.
-            throw std::runtime_error(where(image) + "a second image of this stamp: is it a loop? Expected one");
-          }
+          take(*image, compressed, exposures[image->stamp_ns].images.emplace(detector->name(), *image).first->second);
         }
       }
     }
@@ -105,7 +103,7 @@ public:
     const auto view = recording_.messages(at.topic, at.time);
     for (const rosbag::MessageInstance& instance : *view)
     {
-      if (stampOf(instance) != at.stamp_ns)
+      if (const std::optional<BagImage> found = imageOf(instance); !found || found->stamp_ns != at.stamp_ns)
       {
         continue;
       }
@@ -138,18 +136,39 @@ private:
     return text.str();
   }
 
-  /// Of an image, compressed or not.
-  static std::optional<std::int64_t> stampOf(const rosbag::MessageInstance& instance)
+  /// An image, compressed or not.
+  static std::optional<BagImage> imageOf(const rosbag::MessageInstance& instance)
   {
+    const auto of = [&instance](const auto& message)
+    {
+      const std::string_view data(reinterpret_cast<const char*>(message.data.data()), message.data.size());
+      return BagImage{ instance.getTopic(), instance.getTime(), nanosecondsFromTime(message.header.stamp),
+                       std::hash<std::string_view>()(data) };
+    };
     if (const auto image = instance.instantiate<sensor_msgs::Image>())
     {
-      return nanosecondsFromTime(image->header.stamp);
+      return of(*image);
     }
     if (const auto image = instance.instantiate<sensor_msgs::CompressedImage>())
     {
-      return nanosecondsFromTime(image->header.stamp);
+      return of(*image);
     }
     return std::nullopt;
+  }
+
+  /// What there is of one detector and stamp: once more the same, of a loop, is nothing new, and a compressed image
+  /// goes after what it was made of.
+  static void take(const BagImage& image, bool compressed, BagImage& there)
+  {
+    if (image.topic != there.topic)
+    {
+      there = compressed ? there : image;
+    }
+    else if (image.content != there.content)
+    {
+      // Which of them is of the other views' moment nobody knows.
+      throw std::runtime_error(where(image) + "a second image of this stamp, and another one, expected one");
+    }
   }
 
   /// Makes one exposure of those that are nearly at one time and of different detectors: that of the first detector.
