@@ -103,15 +103,16 @@ public:
     const auto view = recording_.messages(at.topic, at.time);
     for (const rosbag::MessageInstance& instance : *view)
     {
-      if (const std::optional<BagImage> found = imageOf(instance); !found || found->stamp_ns != at.stamp_ns)
+      const auto image = instance.instantiate<sensor_msgs::Image>();
+      const auto compressed = image ? nullptr : instance.instantiate<sensor_msgs::CompressedImage>();
+      if ((!image && !compressed) ||
+          nanosecondsFromTime(image ? image->header.stamp : compressed->header.stamp) != at.stamp_ns)
       {
         continue;
       }
       try
       {
-        const auto image = instance.instantiate<sensor_msgs::Image>();
-        cv::Mat pixels = image ? pixelsFromMsg(*image).clone()
-                               : pixelsFromMsg(*instance.instantiate<sensor_msgs::CompressedImage>());
+        cv::Mat pixels = image ? pixelsFromMsg(*image).clone() : pixelsFromMsg(*compressed);
         if (const Eigen::Vector2i& size = detector.imageSize(); pixels.cols != size.x() || pixels.rows != size.y())
         {
           std::ostringstream message;
