@@ -16,6 +16,8 @@ namespace
 // Registrations in a row that agree with each other.
 constexpr int kChainWithoutTracks = 2;
 constexpr int kChainAgainstTracks = 3;
+// In a row that are not believed, where the tracks lead to.
+constexpr int kUnbelieved = 3;
 
 /// On the bound of a correction, whatever speaks for it: with 5 mm it stays nearer than half of the way to the next
 /// vertebra, 18 mm in a neck, about.
@@ -161,6 +163,15 @@ RefinementRequest RefinementPolicy::ask(const RefinementSeed& exposure, bool unv
     request.room_from_patient = chain_->refined;
   }
   pending_ = Pending{ request.id, now, exposure };
+  if (unverified && unbelieved_ >= kUnbelieved && unbelieved_ % 2 != 0 && last_accepted_ &&
+      exposure.stamp > last_accepted_->stamp)
+  {
+    // As if it were lost since then.
+    const double since = 1e-9 * static_cast<double>(exposure.stamp - last_accepted_->stamp);
+    request.room_from_patient = last_accepted_->refined;
+    pending_->exposure = { exposure.stamp, last_accepted_->refined, PoseCovariance::Zero(), 0.0, false, since };
+    pending_->where_it_was = true;
+  }
   exposures_since_request_ = 0;
   not_before_ = now + static_cast<std::int64_t>(1e9 * options_.timeout);
   demanded_ = false;
@@ -230,7 +241,8 @@ RefinementPolicy::Judgement RefinementPolicy::judge(const RefinementReply& reply
     return judgeClaimed(reply, exposure);
   }
   Judgement judgement{ RefinementVerdict::ACCEPTED, fault(reply), std::nullopt };
-  bool outvoted = false;
+  bool outvoted = pending.where_it_was;
+  ++unbelieved_;
   if (!judgement.reason.empty())
   {
     judgement.verdict = RefinementVerdict::REFUSED;
@@ -273,6 +285,14 @@ RefinementPolicy::Judgement RefinementPolicy::judge(const RefinementReply& reply
       judgement.verdict = RefinementVerdict::UNCONFIRMED;
       judgement.reason = "the registration alone has found the target, which the next exposure has to confirm";
     }
+    if (!pending.where_it_was)
+    {
+      unbelieved_ = 0;
+    }
+    else if (judgement.verdict == RefinementVerdict::UNCONFIRMED)
+    {
+      --unbelieved_;  // the next one starts there, too
+    }
   }
   if (judgement.verdict != RefinementVerdict::ACCEPTED)
   {
@@ -281,6 +301,7 @@ RefinementPolicy::Judgement RefinementPolicy::judge(const RefinementReply& reply
     return judgement;
   }
   ++accepted_;
+  unbelieved_ = 0;
   anchor_ = reply.room_from_patient;
   last_accepted_ = Accepted{ exposure.stamp, reply.room_from_patient, reply.covariance };
   not_before_ = 0;
@@ -315,6 +336,7 @@ RefinementPolicy::Judgement RefinementPolicy::judgeClaimed(const RefinementReply
     return judgement;
   }
   ++accepted_;
+  unbelieved_ = 0;
   chain_ = Chain{ claim.stamp, reply.room_from_patient, reply.covariance, 1, 1, 0 };
   anchor_ = reply.room_from_patient;
   last_accepted_ = Accepted{ claim.stamp, reply.room_from_patient, reply.covariance };
@@ -409,6 +431,7 @@ double RefinementPolicy::worstSigma(const RigidTransform& one, const PoseCovaria
 void RefinementPolicy::reset()
 {
   last_accepted_.reset();
+  unbelieved_ = 0;
   pending_.reset();
   chain_.reset();
   anchor_.reset();

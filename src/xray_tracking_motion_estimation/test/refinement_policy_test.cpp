@@ -48,11 +48,11 @@ protected:
   }
 
   /// Asks about the exposure if it is due and nothing is under way.
-  void expose(RefinementPolicy& policy, const RefinementSeed& exposure)
+  void expose(RefinementPolicy& policy, const RefinementSeed& exposure, bool unverified = false)
   {
     if (policy.due(exposure, now) && !policy.pending())
     {
-      requests.push_back(policy.ask(exposure, false, now));
+      requests.push_back(policy.ask(exposure, unverified, now));
     }
   }
 
@@ -84,6 +84,29 @@ protected:
     reply.id = requests.back().id;
     reply.text = "flat optimum";
     return reply;
+  }
+
+  /// Where along x, from its start, the target is looked for next [mm], while tracks lead to `tracked`.
+  double nextStart(RefinementPolicy& policy, double tracked, bool unverified = true)
+  {
+    expose(policy, exposureAt(moved(tracked)), unverified);
+    return (requests.back().room_from_patient * traceTarget() - tracePose(moved(0.0)) * traceTarget()).x();
+  }
+
+  /// A policy whose tracks have slipped by 30 mm since the registration of a target at 2 mm, and led to three that were
+  /// not believed.
+  RefinementPolicy astray()
+  {
+    options.mode = RefinementMode::EVERY_FRAME;
+    RefinementPolicy policy = makePolicy();
+    EXPECT_TRUE(refine(policy, exposureAt(moved(2.0)), moved(2.0)).refinement);
+    for (int i = 0; i < 3; ++i)
+    {
+      EXPECT_NEAR(nextStart(policy, 30.0), 30.0, 1e-6);
+      policy.judge(failure());
+    }
+    now += 10000 * kMillisecond;
+    return policy;
   }
 
   /// How many of 100 exposures at rest are asked for if every answer comes before the next one.
@@ -124,6 +147,53 @@ protected:
   std::vector<RefinementRequest> requests;
   std::int64_t now = 0;
 };
+
+TEST_F(RefinementTest, LooksWhereTheTargetWasIfTracksAreNotBelieved)
+{
+  RefinementPolicy policy = astray();
+  EXPECT_NEAR(nextStart(policy, 30.0), 2.0, 1e-6);
+  policy.judge(failure());
+  EXPECT_NEAR(nextStart(policy, 31.0), 31.0, 1e-6) << "tracks may be right for all that";
+  policy.judge(failure());
+  EXPECT_NEAR(nextStart(policy, 32.0), 2.0, 1e-6);
+  const RefinementPolicy::Judgement first = policy.judge(answer(moved(5.0)));
+  EXPECT_EQ(first.verdict, RefinementVerdict::UNCONFIRMED);
+  EXPECT_NEAR(nextStart(policy, 33.0), 2.0, 1e-6) << "another one has to find it, too";
+  const RefinementPolicy::Judgement second = policy.judge(answer(moved(5.2)));
+  ASSERT_TRUE(second.refinement) << second.reason;
+  EXPECT_FALSE(second.refinement->tracked) << "tracks say nothing of it";
+  EXPECT_TRUE(second.refinement->outvoted) << "what they follow is to be learnt anew";
+  EXPECT_NEAR(nextStart(policy, 5.3), 5.3, 1e-6) << "tracks count from there";
+}
+
+TEST_F(RefinementTest, LooksNowhereElseWhileTracksAreVerified)
+{
+  RefinementPolicy policy = astray();
+  EXPECT_NEAR(nextStart(policy, 30.0, false), 30.0, 1e-6);
+}
+
+TEST_F(RefinementTest, LooksNowhereElseIfWhatItFindsIsBelieved)
+{
+  RefinementPolicy policy = astray();
+  EXPECT_NEAR(nextStart(policy, 30.0), 2.0, 1e-6);
+  policy.judge(failure());
+  EXPECT_NEAR(nextStart(policy, 30.0), 30.0, 1e-6);
+  policy.judge(answer(moved(30.1)));
+  EXPECT_NEAR(nextStart(policy, 30.0), 30.0, 1e-6);
+}
+
+TEST_F(RefinementTest, WhereTheTargetWasNobodyGetsToTheNextVertebra)
+{
+  RefinementPolicy policy = astray();
+  for (int i = 0; i < 6; ++i)
+  {
+    expose(policy, exposureAt(moved(30.0)), true);
+    const bool where_it_was = i % 2 == 0;
+    const RefinementPolicy::Judgement judgement = policy.judge(where_it_was ? answer(moved(-10.0)) : failure());
+    EXPECT_FALSE(judgement.refinement);
+    EXPECT_EQ(judgement.verdict, RefinementVerdict::REFUSED) << judgement.reason;
+  }
+}
 
 TEST_F(RefinementTest, NeverAsks)
 {

@@ -144,7 +144,9 @@ public:
   bool due(const RefinementSeed& exposure, std::int64_t now);
 
   /// The request for an exposure, which is under way from here on. Where nothing is tracked and the last registration
-  /// waits to be confirmed, it starts from that one's pose. @throws std::logic_error if there is one under way
+  /// waits to be confirmed, it starts from that one's pose. Where nothing has confirmed the tracks for long, and three
+  /// registrations in a row from where they lead were not believed, every other one starts from the last accepted pose:
+  /// tracks may follow something else. @throws std::logic_error if there is one under way
   RefinementRequest ask(const RefinementSeed& exposure, bool unverified, std::int64_t now);
 
   /// The same from a pose that somebody states, see MotionMonitor::claim(). Its answer has to be believed, its views
@@ -190,6 +192,7 @@ private:
     std::int64_t asked;  ///< monotonic clock [ns]
     RefinementSeed exposure;
     bool claimed = false;
+    bool where_it_was = false;  ///< it starts from the last accepted pose, whatever tracks say
   };
   /// Believed registrations that agree with each other, one exposure after another.
   struct Chain
@@ -231,6 +234,8 @@ private:
   std::optional<RigidTransform> anchor_;  ///< tracked pose at the start or just refined: what drift is counted from
   std::uint64_t next_id_ = 1;
   int exposures_since_request_ = 0;
+  /// Registrations in a row that were not believed, or of no use.
+  int unbelieved_ = 0;
   bool demanded_ = false;
   std::int64_t not_before_ = 0;  ///< monotonic clock, ON_DRIFT [ns]
   std::string last_refusal_;
