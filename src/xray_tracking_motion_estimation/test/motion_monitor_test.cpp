@@ -479,6 +479,48 @@ TEST_F(MonitorTest, TracksThatAreLostDuringAContradictionAreNoWayToTheNextVerteb
   expectNone(registered({ 0.0, 0.0, 0.0 }, { 17.0, 0.0, 0.0 }, loseAll), MotionState::LOST, "correction is 17");
 }
 
+/// The tracks follow something else, all alike, and have gone 30 mm with it; the target has gone 3 mm. A registration
+/// finds it from 14 mm away, as in the knee.
+TEST_F(MonitorTest, TracksThatLeadNowhereAreFoundOutFromWhereTheTargetWas)
+{
+  const Eigen::Vector3d target(3.0, 0.0, 0.0), astray(30.0, 0.0, 0.0);
+  for (const bool late : { false, true })
+  {
+    start();
+    registered({ 0.0, 0.0, 0.0 });
+    registered({ 0.0, 0.0, 0.0 });
+    const auto look = [&](const Eigen::Vector3d& tracks)
+    {
+      expose(tracks);
+      const RefinementRequest asked = request();
+      const Eigen::Vector3d seed = asked.room_from_patient * scene.targetCentre() - scene.target;
+      if (late)
+      {
+        monitor->onTime(*monitor->wakeAt());
+      }
+      const bool found = (seed - target).norm() < 14.0;
+      monitor->onReply(found ? believed(asked.id, target) : doubted(asked.id), now + 150 * kMillisecond);
+      return decision();
+    };
+    int exposures = 0;
+    while (monitor->refinement().accepted() < 3 && exposures < 60)
+    {
+      look(astray);
+      EXPECT_FALSE(monitor->gate().open() && exposures > 5) << exposures;
+      ++exposures;
+    }
+    EXPECT_LT(exposures, 40) << "late " << late;
+    for (std::size_t view = 0; view < 2 && !late; ++view)
+    {
+      EXPECT_TRUE(monitor->takeProposal()) << "view " << view << " is to learn its region anew";
+    }
+    look(astray);
+    const MotionDecision after = look(astray);
+    EXPECT_LT((after.room_from_patient * scene.targetCentre() - scene.target - target).norm(), 0.1) << "late " << late;
+    EXPECT_EQ(after.state, MotionState::OK);
+  }
+}
+
 TEST_F(MonitorTest, TheSecondRegistrationStartsFromTheFirstWhateverTheMethod)
 {
   for (const PoseMethod method : { PoseMethod::REGISTRATION, PoseMethod::TRACKING_AND_REGISTRATION })
