@@ -296,17 +296,21 @@ void RadiographPanel::refresh()
   }
   askForRendering();
   const bool live = renderingIsLive();
+  bool shown = false;
   for (const auto& pane : panes_)
   {
     const auto exposure = rendered_.exposures.find(pane->detector());
-    pane->refresh(room_, *vis_manager_->getFrameManager()->getTF2BufferPtr(), poses_,
-                  live && exposure != rendered_.exposures.end() ? &exposure->second : nullptr);
+    shown = pane->refresh(room_, *vis_manager_->getFrameManager()->getTF2BufferPtr(), poses_,
+                          live && exposure != rendered_.exposures.end() ? &exposure->second : nullptr) ||
+            shown;
   }
   rendering_label_->setText(overlay() == Overlay::NONE  ? QString()
                             : !rendering_fault_.empty() ? "No CT: " + QString::fromStdString(rendering_fault_)
-                            : aligning()                ? "CT at the pose of the manual alignment"
-                            : live                      ? QString()
+                            : shown && aligning()       ? QString("CT at the pose of the manual alignment")
+                            : shown                     ? QString()
+                            : aligning() || asked_      ? QString("Rendering the CT ...")
                             : poses_.empty()            ? QString("No CT: no patient_pose so far")
+                            : live                      ? QString("No CT: these exposures have no patient_pose")
                                                         : QString("Rendering the CT ..."));
 }
 

@@ -120,7 +120,10 @@ protected:
     pose.header.stamp = stamp;
     pose.header.frame_id = "treatment_room";
     pose.pose.pose.orientation.w = 1.0;
-    pose_.publish(pose);
+    if (posed_)
+    {
+      pose_.publish(pose);
+    }
     if (residuals_)
     {
       residuals_(stamp);
@@ -189,6 +192,7 @@ protected:
   SyntheticDetector left_{ "left", 512 };
   SyntheticDetector right_{ "right", 512 };
   ros::Publisher pose_;
+  bool posed_ = true;                                      ///< exposures have a pose
   std::function<void(const ros::Time& stamp)> residuals_;  ///< publishes them along, if there are any
   RadiographPanel* panel_ = nullptr;
 };
@@ -343,6 +347,25 @@ TEST_F(RadiographPanelTest, LaysTheCtOverTheExposureThatWasRendered)
   const int after = services.rendered;
   run(0.5);
   EXPECT_EQ(services.rendered, after);  // nobody looks
+}
+
+/// A target that is lost is seen where it is now, not where it was rendered last.
+TEST_F(RadiographPanelTest, WhatWasRenderedDoesNotStayInFrontOfExposuresWithoutAPose)
+{
+  FakeServices services;
+  panel_->findChild<QComboBox*>("overlay")->setCurrentIndex(static_cast<int>(Overlay::EDGES));
+  run(5.0, [&] { return view(0).picture().request.rendering != nullptr; });
+  ASSERT_TRUE(view(0).picture().request.rendering);
+  posed_ = false;
+  run(4.0, [&] { return !view(0).picture().request.rendering; });
+  EXPECT_FALSE(view(0).picture().request.rendering);
+  run(0.5);
+  EXPECT_LT((ros::Time::now() - view(0).picture().request.image->header.stamp).toSec(), 1.0);
+  const QString said = panel_->findChild<QLabel*>("rendering")->text();
+  EXPECT_TRUE(said.contains("No CT")) << said.toStdString();
+  posed_ = true;
+  run(5.0, [&] { return view(0).picture().request.rendering != nullptr; });
+  EXPECT_TRUE(view(0).picture().request.rendering);
 }
 
 TEST_F(RadiographPanelTest, SurvivesWhatComes)
