@@ -471,11 +471,19 @@ void RadiographPanel::save(rviz::Config config) const
   config.mapSetValue("Residuals", residuals_button_->isChecked());
   if (!automatic_button_->isChecked())
   {
-    rviz::Config windows = config.mapMakeChild("Windows");
+    // Of detectors that have shown nothing so far, as it was.
+    std::map<std::string, GreyWindow> shown = saved_windows_;
     for (const auto& pane : panes_)
     {
-      const GreyWindow window = pane->view().picture().window;
-      rviz::Config entry = windows.mapMakeChild(QString::fromStdString(pane->detector()));
+      if (!pane->view().picture().pixels.empty())
+      {
+        shown[pane->detector()] = pane->view().picture().window;
+      }
+    }
+    rviz::Config windows = config.mapMakeChild("Windows");
+    for (const auto& [detector, window] : shown)
+    {
+      rviz::Config entry = windows.mapMakeChild(QString::fromStdString(detector));
       entry.mapSetValue("Black", window.low);
       entry.mapSetValue("White", window.high);
     }

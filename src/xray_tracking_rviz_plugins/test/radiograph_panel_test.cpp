@@ -447,6 +447,24 @@ TEST_F(RadiographPanelTest, KeepsItsSettings)
   EXPECT_TRUE(panel_->findChild<QPushButton*>("residuals")->isChecked());
   EXPECT_NEAR(view(0).picture().window.low, 1234.5, 0.01);
   EXPECT_NEAR(view(0).picture().window.high, 30000.25, 0.01);
+
+  // Also of detectors that have not come, or have no image so far, when it is saved.
+  rviz::Config later = config.mapGetChild("Windows").mapMakeChild("later");
+  later.mapSetValue("Black", 12.5);
+  later.mapSetValue("White", 25.0);
+  auto* dark = dynamic_cast<RadiographPanel*>(addPanel("xray_tracking_rviz_plugins/RadiographPanel"));
+  ASSERT_NE(dark, nullptr);
+  dark->load(config);
+  spin(1.5);
+  ASSERT_EQ(dark->panes().size(), 2U);
+  rviz::Config saved;
+  dark->save(saved);
+  for (const auto& [name, black] : { std::pair("left", 1234.5F), std::pair("later", 12.5F) })
+  {
+    float kept = 0.0F;
+    EXPECT_TRUE(saved.mapGetChild("Windows").mapGetChild(name).mapGetFloat("Black", &kept)) << name;
+    EXPECT_NEAR(kept, black, 0.01) << name;
+  }
 }
 }  // namespace
 }  // namespace xray_tracking
