@@ -106,14 +106,14 @@ class ConfigurationTest(unittest.TestCase):
             given = {key: folder + key + "_x" for key in arguments}
             required = [words for words in REQUIRED_ARGUMENTS.get(name, []) if words.split(":=")[0] not in arguments]
             switches = [f"{key}:=true" for key in ("rviz", "registration") if f'<arg name="{key}"' in text]
-            with self.subTest(launch=name, folder=folder), unittest.mock.patch.dict(os.environ, {"PWD": "/here"}):
+            with self.subTest(launch=name, folder=folder), unittest.mock.patch.dict(os.environ, {"PWD": "/he re"}):
                 # The parts of a bag are separated by spaces.
                 config = load(path, required + switches + [f"{key}:='{value}'" if key == "bag" and folder else
                                                            f"{key}:={value}" for key, value in given.items()])
                 arrived = [word for node in config.nodes for word in shlex.split(node.args)]
                 arrived += [param.value for param in config.params.values()]
                 for key, value in given.items():
-                    expected = value if folder else "/here/" + value
+                    expected = value if folder else "/he re/" + value
                     self.assertEqual({word for word in arrived if str(word).endswith(key + "_x")}, {expected})
 
     def test_a_run_does_not_take_an_earlier_recording_for_its_own(self):
