@@ -127,6 +127,26 @@ class ConfigurationTest(unittest.TestCase):
             self.assertEqual(result.returncode, 1)
             self.assertIn("recorded.bag", result.stderr)
 
+    def test_acceptance_of_nothing_fails(self):
+        with tempfile.TemporaryDirectory() as folder:
+            pathlib.Path(folder, "recorded.bag").touch()
+            cases = {f"--sequence={folder}/misspelt": "there is no sequence.yaml in it",
+                     "--sequence=misspelt": f"{folder}/misspelt: there is no sequence.yaml in it",  # of this folder
+                     f"--bag={folder}/recorded.bag": "recorded.bag is of an earlier run"}
+            for argument, expected in cases.items():
+                program = str(pathlib.Path(__file__).parent / "acceptance_test.py")
+                result = subprocess.run([program, argument, f"--out={folder}", f"--gtest_output=xml:{folder}/r.xml"],
+                                        env=dict(os.environ, PWD=folder), capture_output=True, text=True, timeout=50,
+                                        check=False)
+                with self.subTest(argument=argument):
+                    self.assertIn(expected, result.stdout + result.stderr)
+                    self.assertNotIn("SUCCESS", result.stdout)
+            allowed = subprocess.run([program, "--sequence=/nowhere", "--may_be_absent=true",
+                                      f"--gtest_output=xml:{folder}/r.xml"], capture_output=True, text=True, timeout=50,
+                                     check=False)
+            self.assertIn("SUCCESS", allowed.stdout)
+            self.assertIn("skipped: ", pathlib.Path(folder, "r.xml").read_text())
+
     def test_rosdep_knows_every_dependency(self):
         source = pathlib.Path(rospkg.RosPack().get_path("xray_tracking_bringup")).parent
         rosdep = source.parent / "rosdep"
