@@ -26,7 +26,8 @@ def limit(text):
 
 def read_arguments():
     parser = argparse.ArgumentParser()
-    for name in ("sequence", "bag", "setup_file", "method", "initial_pose_verified", "speed", "deadline", "config", "out"):
+    for name in ("sequence", "may_be_absent", "bag", "setup_file", "method", "initial_pose_verified", "speed", "deadline",
+                 "config", "out"):
         parser.add_argument("--" + name)
     for name in LIMITS:
         parser.add_argument("--" + name, type=limit)
@@ -58,12 +59,17 @@ def messages(bag, names):
 class AcceptanceTest(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
+        # Names are of the folder that rostest is started in; nodes run in ROS_HOME.
+        os.chdir(os.environ.get("PWD", "."))
         cls.arguments = read_arguments()
-        cls.absent = cls.arguments.sequence and not os.path.isfile(os.path.join(cls.arguments.sequence, "sequence.yaml"))
+        missing = cls.arguments.sequence and not os.path.isfile(os.path.join(cls.arguments.sequence, "sequence.yaml"))
+        cls.absent = missing and cls.arguments.may_be_absent == "true"
         if cls.absent:
             return
+        if missing:
+            raise ValueError(f"{os.path.abspath(cls.arguments.sequence)}: there is no sequence.yaml in it")
         cls.temporary = tempfile.TemporaryDirectory()
-        cls.out = cls.arguments.out or cls.temporary.name
+        cls.out = os.path.abspath(cls.arguments.out or cls.temporary.name)
         os.makedirs(cls.out, exist_ok=True)
         cls.run_graph()
 
@@ -84,6 +90,9 @@ class AcceptanceTest(unittest.TestCase):
         bag, setup_file = arguments.bag, arguments.setup_file
         if bool(bag) == bool(arguments.sequence):
             raise ValueError("expected either sequence:= or bag:=")
+        recorded = os.path.join(cls.out, "recorded.bag")
+        if os.path.exists(recorded):  # it would be judged if this run recorded nothing
+            raise ValueError(f"{recorded} is of an earlier run: expected another folder for out:=")
         if arguments.sequence:
             setup_file = setup_file or os.path.join(arguments.sequence, "sequence.yaml")
             bag = os.path.join(cls.out, "exposures.bag")
@@ -110,9 +119,9 @@ class AcceptanceTest(unittest.TestCase):
         if exposures < 2:
             raise ValueError(f"{bag} has {exposures} exposures of {' '.join(detectors)}, expected 2 or more")
         method = arguments.method or ("tracking_and_registration" if setup.get("ct") else "tracking")
-        recorded = os.path.join(cls.out, "recorded.bag")
+        played = " ".join(f"'{os.path.abspath(part)}'" for part in parts(bag))
         graph = subprocess.run(
-            ["roslaunch", "xray_tracking_bringup", "playback.launch", f"bag:={' '.join(parts(bag))}", f"setup_file:={setup_file}",
+            ["roslaunch", "xray_tracking_bringup", "playback.launch", f"bag:={played}", f"setup_file:={setup_file}",
              f"detectors:={' '.join(detectors)}", f"method:={method}", f"speed:={arguments.speed}",
              f"deadline:={arguments.deadline}", f"initial_pose_verified:={arguments.initial_pose_verified}",
              f"config:={arguments.config}", f"record:={recorded}", "rviz:=false", "supervised:=true",

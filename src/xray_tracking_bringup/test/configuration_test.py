@@ -3,6 +3,9 @@
 import itertools
 import os
 import pathlib
+import shlex
+import subprocess
+import tempfile
 import unittest
 import unittest.mock
 import xml.etree.ElementTree
@@ -90,6 +93,59 @@ class ConfigurationTest(unittest.TestCase):
             path = next(path for path in files("launch", "*.launch") if path.name == name)
             params = load(path, REQUIRED_ARGUMENTS.get(name, []) + ["initial_pose_verified:=true"]).params
             self.assertIs(params["/motion_estimation/gate/initial_pose_verified"].value, True)
+
+    def test_a_name_arrives_whole_and_of_this_folder(self):
+        """With a space in it; one without a folder is of the folder that roslaunch is started in, not of ROS_HOME."""
+        cases = {"treatment_room.launch": ["setup_file", "record", "data_folder"],
+                 "playback.launch": ["setup_file", "record", "data_folder", "bag", "rviz_config"],
+                 "tracking.launch": ["setup_file", "record", "data_folder", "rviz_config"],
+                 "latency.launch": ["sequence", "json"]}
+        for (name, arguments), folder in itertools.product(cases.items(), ("/room a/", "")):
+            path = next(path for path in files("launch", "*.launch") if path.name == name)
+            text = path.read_text()
+            given = {key: folder + key + "_x" for key in arguments}
+            required = [words for words in REQUIRED_ARGUMENTS.get(name, []) if words.split(":=")[0] not in arguments]
+            switches = [f"{key}:=true" for key in ("rviz", "registration") if f'<arg name="{key}"' in text]
+            with self.subTest(launch=name, folder=folder), unittest.mock.patch.dict(os.environ, {"PWD": "/he re"}):
+                # The parts of a bag are separated by spaces.
+                config = load(path, required + switches + [f"{key}:='{value}'" if key == "bag" and folder else
+                                                           f"{key}:={value}" for key, value in given.items()])
+                arrived = [word for node in config.nodes for word in shlex.split(node.args)]
+                arrived += [param.value for param in config.params.values()]
+                for key, value in given.items():
+                    expected = value if folder else "/he re/" + value
+                    self.assertEqual({word for word in arrived if str(word).endswith(key + "_x")}, {expected})
+
+    def test_a_run_does_not_take_an_earlier_recording_for_its_own(self):
+        run = pathlib.Path(rospkg.RosPack().get_path("xray_tracking_bringup")).parent.parent / "scripts" / "run"
+        if not run.is_file():
+            self.skipTest("an installed package")
+        with tempfile.TemporaryDirectory() as out:
+            pathlib.Path(out, "recorded.bag").touch()
+            result = subprocess.run([str(run), "--headless", "--out", out], capture_output=True, text=True, timeout=20,
+                                    check=False)
+            self.assertEqual(result.returncode, 1)
+            self.assertIn("recorded.bag", result.stderr)
+
+    def test_acceptance_of_nothing_fails(self):
+        with tempfile.TemporaryDirectory() as folder:
+            pathlib.Path(folder, "recorded.bag").touch()
+            cases = {f"--sequence={folder}/misspelt": "there is no sequence.yaml in it",
+                     "--sequence=misspelt": f"{folder}/misspelt: there is no sequence.yaml in it",  # of this folder
+                     f"--bag={folder}/recorded.bag": "recorded.bag is of an earlier run"}
+            for argument, expected in cases.items():
+                program = str(pathlib.Path(__file__).parent / "acceptance_test.py")
+                result = subprocess.run([program, argument, f"--out={folder}", f"--gtest_output=xml:{folder}/r.xml"],
+                                        env=dict(os.environ, PWD=folder), capture_output=True, text=True, timeout=50,
+                                        check=False)
+                with self.subTest(argument=argument):
+                    self.assertIn(expected, result.stdout + result.stderr)
+                    self.assertNotIn("SUCCESS", result.stdout)
+            allowed = subprocess.run([program, "--sequence=/nowhere", "--may_be_absent=true",
+                                      f"--gtest_output=xml:{folder}/r.xml"], capture_output=True, text=True, timeout=50,
+                                     check=False)
+            self.assertIn("SUCCESS", allowed.stdout)
+            self.assertIn("skipped: ", pathlib.Path(folder, "r.xml").read_text())
 
     def test_rosdep_knows_every_dependency(self):
         source = pathlib.Path(rospkg.RosPack().get_path("xray_tracking_bringup")).parent

@@ -64,6 +64,12 @@ std::string convert(const XmlRpcValue& found, std::string& value)
   return "";
 }
 
+std::string convert(const XmlRpcValue& found, XmlRpcValue& value)
+{
+  value = found;
+  return "";
+}
+
 template <typename Element>
 std::string convert(const XmlRpcValue& found, std::vector<Element>& value)
 {
@@ -126,6 +132,7 @@ template bool ParameterReader::read(const std::string&, const bool&);
 template int ParameterReader::read(const std::string&, const int&);
 template double ParameterReader::read(const std::string&, const double&);
 template std::string ParameterReader::read(const std::string&, const std::string&);
+template XmlRpcValue ParameterReader::read(const std::string&, const XmlRpcValue&);
 template std::vector<double> ParameterReader::read(const std::string&, const std::vector<double>&);
 template std::vector<std::string> ParameterReader::read(const std::string&, const std::vector<std::string>&);
 

@@ -293,12 +293,21 @@ bool BeamGate::refined(std::int64_t stamp, const Eigen::Vector3d& correction, do
   }
   verification_.confirm(stamp);
   const Verdict verdict = judgePlace();
-  if (!good() || verdict.reason == GateReason::NONE)
+  if (verdict.reason == GateReason::DISPLACED && (good() || reason_ == GateReason::DISPLACED))
   {
-    return reviewVerification();
+    good_ = 0;
+    return change(verdict);
   }
-  good_ = 0;
-  return change(verdict);
+  if (reason_ == GateReason::DISPLACED)
+  {
+    // What it says of the place is not so any more; what else was wrong with the exposure, the next one tells.
+    std::string fault = verification_.fault();
+    return fault.empty() ? change({ GateReason::CONFIRMING,
+                                    "a registration has found the target within its bounds, but the next exposure has "
+                                    "to be good, too" })
+                         : change({ GateReason::UNVERIFIED, std::move(fault) });
+  }
+  return reviewVerification();
 }
 
 bool BeamGate::refused(const std::string& why, bool contradicts)

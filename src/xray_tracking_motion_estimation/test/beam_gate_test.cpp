@@ -420,6 +420,23 @@ TEST_F(BeamGateTest, ARefinementThatPutsTheTargetOutsideClosesAtOnce)
   EXPECT_EQ(gate.reason(), GateReason::DISPLACED);
 }
 
+TEST_F(BeamGateTest, WhatIsSaidOfADisplacedTargetIsOfWhereARefinementHasPutIt)
+{
+  openIt();
+  GateExposure exposure = good();
+  exposure.displacement = { 5.4, 0.0, 0.0 };
+  exposure.registered = true;  // no jump
+  gate.update(exposure);
+  EXPECT_NE(gate.text().find("displaced by 5.40 mm"), std::string::npos) << gate.text();
+  EXPECT_FALSE(gate.refined(stamp, Eigen::Vector3d(3.91, 0.0, 0.0), 0.0));
+  EXPECT_EQ(gate.reason(), GateReason::DISPLACED);
+  EXPECT_NE(gate.text().find("displaced by 9.31 mm"), std::string::npos) << gate.text();
+  // Back within its bounds: nothing says any more that it is not, and the next exposures decide.
+  EXPECT_TRUE(gate.refined(stamp, Eigen::Vector3d(-8.31, 0.0, 0.0), 0.0));
+  EXPECT_EQ(gate.reason(), GateReason::CONFIRMING) << gate.text();
+  openIt();
+}
+
 TEST_F(BeamGateTest, StartsAgainWhenTimeDoes)
 {
   openIt();

@@ -119,6 +119,7 @@ AlignmentPanel::AlignmentPanel(QWidget* parent) : rviz::Panel(parent), timer_(ne
   connect(register_, &QPushButton::clicked, this,
           [this]
           {
+            asked_from_ = alignment_;
             link_->state(alignment_->pose());
             say("Registering from here ...", look::kAccent);
           });
@@ -310,8 +311,8 @@ void AlignmentPanel::takeAnswer()
     say("Not registered, and nothing has changed: " + QString::fromStdString(answer->message), look::kBad);
     return;
   }
-  const RigidTransform motion = answer->registered * alignment_->pose().inverse();
-  const double shift = (motion * alignment_->target() - alignment_->target()).norm();
+  const RigidTransform motion = answer->registered * asked_from_->pose().inverse();
+  const double shift = (motion * asked_from_->target() - asked_from_->target()).norm();
   end("Registered, " + QString::number(shift, 'f', 1) + " mm and " +
           QString::number(kDegrees * rotationAngle(motion), 'f', 1) +
           QString::fromUtf8(

@@ -71,7 +71,8 @@ private:
   std::unique_ptr<RoomWatch> watch_;
   Room room_;
   std::unique_ptr<AlignmentLink> link_;
-  std::optional<Alignment> alignment_;  ///< while it is done
+  std::optional<Alignment> alignment_;   ///< while it is done
+  std::optional<Alignment> asked_from_;  ///< where it was when the registration was asked last
   std::unique_ptr<AlignmentMarker> marker_;
   rviz::Tool* tool_before_ = nullptr;
   bool lasting_message_ = false;  ///< of how the last alignment has ended

@@ -6,7 +6,9 @@
 
 #include <QDateTime>
 #include <QDir>
+#include <QFileInfo>
 #include <QProcess>
+#include <QRegularExpression>
 
 namespace xray_tracking
 {
@@ -34,6 +36,14 @@ QString dataFolder()
   return (home.isEmpty() ? QDir::homePath() + "/.ros" : home) + "/xray_tracking";
 }
 
+QString recordedTopics(const QString& prefix)
+{
+  return "(" + prefix +
+         "(.+/(image_raw|camera_info|tracked_region)|.+_hyperplane_tracker/parameter_updates|patient_pose|"
+         "patient_motion|predicted_pose|beam_gate|refined_pose|patient_ground_truth|run_description)|"
+         "/tf|/tf_static|/diagnostics|/rosout)";
+}
+
 BagRecorder::BagRecorder(const QString& topics, QObject* parent)
   : QObject(parent), topics_(topics), process_(new Child(this))
 {
@@ -51,22 +61,36 @@ BagRecorder::BagRecorder(const QString& topics, QObject* parent)
   connect(process_, QOverload<int, QProcess::ExitStatus>::of(&QProcess::finished), this,
           [this](int, QProcess::ExitStatus)
           {
+            listen();
+            const QString why = last_line_.isEmpty() ? QString("no word why") : last_line_;
             if (!stopping_)
             {
-              const QStringList lines = QString::fromLocal8Bit(process_->readAll()).split('\n', Qt::SkipEmptyParts);
-              fault_ = "rosbag record has ended: " + (lines.isEmpty() ? QString("no word why") : lines.last());
+              fault_ = "rosbag record has ended: " + why;
+            }
+            else if (!QFileInfo::exists(file_))
+            {
+              fault_ = "there is no " + file_ + ": " + why;
             }
             Q_EMIT changed();
           });
-  // Else what it says fills the pipe, and it waits.
-  connect(process_, &QProcess::readyRead, this,
-          [this]
-          {
-            if (recording() && !stopping_)
-            {
-              process_->readAll();
-            }
-          });
+  connect(process_, &QProcess::readyRead, this, &BagRecorder::listen);
+}
+
+void BagRecorder::listen()
+{
+  static const QRegularExpression colours("\x1b\\[[0-9;]*m");
+  static const QRegularExpression trouble("^\\[ ?(WARN|ERROR|FATAL)\\][^:]*: ");
+  // All of it, else what it says fills the pipe, and it waits.
+  while (process_->canReadLine() || (!recording() && process_->bytesAvailable() > 0))
+  {
+    const QString line = QString::fromLocal8Bit(process_->readLine()).remove(colours).trimmed();
+    last_line_ = line.isEmpty() ? last_line_ : line;
+    if (const QRegularExpressionMatch match = trouble.match(line); match.hasMatch())
+    {
+      fault_ = "rosbag record: " + line.mid(match.capturedEnd());
+      Q_EMIT changed();
+    }
+  }
 }
 
 BagRecorder::~BagRecorder()
@@ -87,6 +111,7 @@ void BagRecorder::start(const QString& parent_folder)
   }
   stopping_ = false;
   fault_.clear();
+  last_line_.clear();
   const QString folder = parent_folder + "/" + QDateTime::currentDateTime().toString("yyyyMMdd_HHmmss_zzz");
   if (!QDir().mkpath(folder))
   {

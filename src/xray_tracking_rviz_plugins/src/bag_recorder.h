@@ -23,17 +23,27 @@ public:
   void stop();
   bool recording() const;
   const QString& file() const { return file_; }
-  const QString& fault() const { return fault_; }  ///< of the last recording; empty if there was none
+  /// Of this recording or the last one: the last warning or error that rosbag gave of it, as that messages are dropped
+  /// or the disk is full, or why there is no bag. Empty if there was none.
+  const QString& fault() const { return fault_; }
 
 Q_SIGNALS:
   void changed();
 
 private:
+  void listen();
+
   QString topics_;
   QProcess* process_;
   QString file_, fault_;
+  QString last_line_;  ///< of what it said
   bool stopping_ = false;
 };
+
+/// What is to be recorded of a treatment, as a regular expression of full names: all that the launch files' recorder
+/// takes, with run_description and parameters, so that the recording can be judged by itself.
+/// @param prefix of the treatment's names, with a slash at its end
+QString recordedTopics(const QString& prefix);
 
 /// $ROS_HOME/xray_tracking, by default in ~/.ros.
 QString dataFolder();

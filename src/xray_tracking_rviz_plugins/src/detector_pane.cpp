@@ -21,6 +21,7 @@ using xray_tracking_msgs::TrackedRegion;
 using xray_tracking_msgs::TrainRegion;
 
 constexpr double kPatience = 0.3;  // with what belongs to an exposure and is late [s]
+constexpr double kRendered = 1.0;  // for which newer images wait for what was rendered [s]
 constexpr double kLive = 1.0;      // a stream that ended no longer before the last exposures [s]
 constexpr double kOld = 2.0;       // an exposure, from when on it is said [s]
 constexpr std::chrono::seconds kTrainingTime(30);
@@ -292,7 +293,7 @@ std::optional<ProjectionGeometry> DetectorPane::geometryOf(const RadiographFeed:
   return std::nullopt;
 }
 
-void DetectorPane::refresh(const Room& room, tf2_ros::Buffer& transforms,
+bool DetectorPane::refresh(const Room& room, tf2_ros::Buffer& transforms,
                            const Recent<geometry_msgs::PoseWithCovarianceStamped>& poses, const ShownExposure* rendered)
 {
   if (asked_ && std::chrono::steady_clock::now() - asked_at_ > kTrainingTime)
@@ -304,13 +305,15 @@ void DetectorPane::refresh(const Room& room, tf2_ros::Buffer& transforms,
   setup_ = room.setup;
 
   ShownExposure shown;
-  if (rendered != nullptr && rendered->image)
+  const std::vector<ros::Time> images = stampsOf(messages.images);
+  const bool shows_rendered = rendered != nullptr && rendered->image &&
+                              replacedFor(images, rendered->image->header.stamp, messages.image_age) <= kRendered;
+  if (shows_rendered)
   {
     shown = *rendered;
   }
-  else if (!messages.images.empty())
+  else if (!images.empty())
   {
-    const std::vector<ros::Time> images = stampsOf(messages.images);
     std::vector<std::vector<ros::Time>> streams;
     addIfLive(messages.regions, images, streams);
     addIfLive(messages.residuals, images, streams);
@@ -390,6 +393,7 @@ void DetectorPane::refresh(const Room& room, tf2_ros::Buffer& transforms,
     proposeRegion();
     showFields();
   }
+  return shows_rendered;
 }
 
 void DetectorPane::showReadOut()

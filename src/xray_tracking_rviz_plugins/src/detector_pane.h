@@ -44,8 +44,10 @@ public:
 
   /// Shows the newest exposure that is complete.
   /// @param poses of the patient, by the exposures' stamps
-  /// @param rendered shown instead; null: none
-  void refresh(const Room& room, tf2_ros::Buffer& transforms,
+  /// @param rendered shown instead, unless newer images have come for a while and it is still of an earlier one; null:
+  /// none
+  /// @return whether `rendered` is shown
+  bool refresh(const Room& room, tf2_ros::Buffer& transforms,
                const Recent<geometry_msgs::PoseWithCovarianceStamped>& poses, const ShownExposure* rendered);
   void setEditing(bool editing);
 

@@ -66,6 +66,13 @@ GateView gateView(const std::optional<HeardGate>& heard, std::int64_t now, const
   {
     return { GateLight::SILENT, "NO CONNECTION", "the last message of beam_gate is not valid any more: hold the beam" };
   }
+  if (heard->publishers > 1)
+  {
+    // Which one's message is the last is chance.
+    return { GateLight::SILENT, "NOT ONE GATE",
+             std::to_string(heard->publishers) +
+                 " nodes send gates on beam_gate: hold the beam, and end all but one of them" };
+  }
   const BeamGate& gate = heard->message;
   if (gate.open && gate.reason == BeamGate::NONE)
   {

@@ -28,7 +28,8 @@ struct GateView
 struct HeardGate
 {
   xray_tracking_msgs::BeamGate message;
-  std::int64_t arrival = 0;  ///< monotonic clock [ns]
+  std::int64_t arrival = 0;    ///< monotonic clock [ns]
+  std::size_t publishers = 1;  ///< nodes that have sent gates lately
 };
 
 /// A message counts for as long as it says, from when it came: by the monotonic clock, as the one that it is stamped by

@@ -1,17 +1,31 @@
 #include "radiograph_feed.h"
 
 #include <algorithm>
-#include <iterator>
+#include <limits>
 
 namespace xray_tracking
 {
+double replacedFor(const std::vector<ros::Time>& images, const ros::Time& stamp, double age)
+{
+  if (images.empty() || stamp > images.back())
+  {
+    return std::numeric_limits<double>::infinity();
+  }
+  if (stamp == images.back())
+  {
+    return 0.0;
+  }
+  // Of one that is not kept any more, the next one is not known: it counts from its own stamp.
+  const ros::Time since = stamp < images.front() ? stamp : *std::upper_bound(images.begin(), images.end(), stamp);
+  return (images.back() - since).toSec() + age;
+}
+
 ros::Time exposureToShow(const std::vector<ros::Time>& images, const std::vector<std::vector<ros::Time>>& others,
                          double age, double patience)
 {
   for (auto image = images.rbegin(); image != images.rend(); ++image)
   {
-    // What a next one has replaced, for how long.
-    if (image != images.rbegin() && (images.back() - *std::prev(image)).toSec() + age > patience)
+    if (replacedFor(images, *image, age) > patience)
     {
       break;
     }

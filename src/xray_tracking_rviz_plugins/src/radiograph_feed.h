@@ -63,6 +63,11 @@ private:
   std::deque<ConstPtr> messages_;
 };
 
+/// For how long an image has not been the newest any more [s]: 0 while it is, infinite where time has begun anew since.
+/// @param images stamps of the last ones, oldest first; @param stamp of one of them, or of an earlier one
+/// @param age of the newest image, since it came [s]
+double replacedFor(const std::vector<ros::Time>& images, const ros::Time& stamp, double age);
+
 /// The stamp of the exposure to show: of those that all of the streams have, the newest; the newest image where a
 /// stream is later than that by more than `patience` [s], or is silent. However slowly exposures come: what lies
 /// between two of them is no lateness.

@@ -296,17 +296,21 @@ void RadiographPanel::refresh()
   }
   askForRendering();
   const bool live = renderingIsLive();
+  bool shown = false;
   for (const auto& pane : panes_)
   {
     const auto exposure = rendered_.exposures.find(pane->detector());
-    pane->refresh(room_, *vis_manager_->getFrameManager()->getTF2BufferPtr(), poses_,
-                  live && exposure != rendered_.exposures.end() ? &exposure->second : nullptr);
+    shown = pane->refresh(room_, *vis_manager_->getFrameManager()->getTF2BufferPtr(), poses_,
+                          live && exposure != rendered_.exposures.end() ? &exposure->second : nullptr) ||
+            shown;
   }
   rendering_label_->setText(overlay() == Overlay::NONE  ? QString()
                             : !rendering_fault_.empty() ? "No CT: " + QString::fromStdString(rendering_fault_)
-                            : aligning()                ? "CT at the pose of the manual alignment"
-                            : live                      ? QString()
+                            : shown && aligning()       ? QString("CT at the pose of the manual alignment")
+                            : shown                     ? QString()
+                            : aligning() || asked_      ? QString("Rendering the CT ...")
                             : poses_.empty()            ? QString("No CT: no patient_pose so far")
+                            : live                      ? QString("No CT: these exposures have no patient_pose")
                                                         : QString("Rendering the CT ..."));
 }
 
@@ -467,11 +471,19 @@ void RadiographPanel::save(rviz::Config config) const
   config.mapSetValue("Residuals", residuals_button_->isChecked());
   if (!automatic_button_->isChecked())
   {
-    rviz::Config windows = config.mapMakeChild("Windows");
+    // Of detectors that have shown nothing so far, as it was.
+    std::map<std::string, GreyWindow> shown = saved_windows_;
     for (const auto& pane : panes_)
     {
-      const GreyWindow window = pane->view().picture().window;
-      rviz::Config entry = windows.mapMakeChild(QString::fromStdString(pane->detector()));
+      if (!pane->view().picture().pixels.empty())
+      {
+        shown[pane->detector()] = pane->view().picture().window;
+      }
+    }
+    rviz::Config windows = config.mapMakeChild("Windows");
+    for (const auto& [detector, window] : shown)
+    {
+      rviz::Config entry = windows.mapMakeChild(QString::fromStdString(detector));
       entry.mapSetValue("Black", window.low);
       entry.mapSetValue("White", window.high);
     }

@@ -30,7 +30,7 @@ TreatmentCommands::TreatmentCommands(const ros::NodeHandle& nh, LastPose last_po
   hold_ = std::make_unique<ServiceCaller<std_srvs::SetBool>>(
       nh_, "motion_estimation/hold_beam",
       [this](const std::optional<std_srvs::SetBool::Response>& response, const std::string& why)
-      { end(Command::HOLD, response && response->success, response ? response->message : why); });
+      { holdAnswered(response && response->success, response ? response->message : why); });
   restart_ = std::make_unique<ServiceCaller<Trigger>>(
       nh_, "motion_estimation/restart",
       [this](const std::optional<Trigger::Response>& response, const std::string& why)
@@ -72,7 +72,8 @@ bool TreatmentCommands::registrationIsThere() const
 void TreatmentCommands::gateSaid(const BeamGate& gate)
 {
   const std::lock_guard<std::mutex> lock(mutex_);
-  if (hold_asked_ && *hold_asked_ == (gate.reason == BeamGate::HELD))
+  // Before it is answered, the gate may be held by what a release that is under way ends.
+  if (hold_asked_ && hold_answered_ && *hold_asked_ == (gate.reason == BeamGate::HELD))
   {
     hold_asked_.reset();
   }
@@ -166,10 +167,7 @@ bool TreatmentCommands::holdIsConfirmed()
   // Until it is confirmed: motion estimation may only be starting.
   if (!command(Command::HOLD).busy && steadyNanoseconds() - hold_tried_ > kHoldAgain)
   {
-    hold_tried_ = steadyNanoseconds();
-    std_srvs::SetBool::Request request;
-    request.data = 1U;
-    hold_->call(request);
+    callHold(true);
   }
   return false;
 }
@@ -212,16 +210,40 @@ void TreatmentCommands::end(Command which, bool success, const std::string& text
 void TreatmentCommands::hold(bool on)
 {
   begin(Command::HOLD, on ? "holding ..." : "releasing ...");
+  bool called = false;
   {
     const std::lock_guard<std::mutex> lock(mutex_);
     hold_asked_ = on;
-    hold_tried_ = steadyNanoseconds();
+    hold_answered_ = false;
+    called = callHold(on);
   }
-  std_srvs::SetBool::Request request;
-  request.data = static_cast<std::uint8_t>(on);
-  if (!hold_->call(request))
+  if (!called)
   {
     end(Command::HOLD, false, "motion_estimation does not answer an earlier call");
+  }
+}
+
+bool TreatmentCommands::callHold(bool on)
+{
+  hold_tried_ = steadyNanoseconds();
+  std_srvs::SetBool::Request request;
+  request.data = static_cast<std::uint8_t>(on);
+  const bool called = hold_->call(request);
+  hold_called_ = called ? on : hold_called_;
+  return called;
+}
+
+void TreatmentCommands::holdAnswered(bool success, const std::string& text)
+{
+  end(Command::HOLD, success, text);
+  const std::lock_guard<std::mutex> lock(mutex_);
+  if (hold_asked_ && *hold_asked_ != hold_called_)
+  {
+    hold_tried_ = 0;  // what was asked for meanwhile is due
+  }
+  else
+  {
+    hold_answered_ = success;
   }
 }
 
@@ -234,12 +256,11 @@ void TreatmentCommands::askTrackers(Command which)
     {
       return;
     }
-    tracker_faults_.clear();
     for (const auto& [name, tracker] : trackers_)
     {
       callers.push_back(which == Command::TRAIN ? tracker.retrain.get() : tracker.reset.get());
     }
-    waiting_for_ = static_cast<int>(callers.size());
+    rounds_[static_cast<std::size_t>(which)] = { static_cast<int>(callers.size()), "" };
   }
   begin(which, which == Command::TRAIN ? "learning the templates at the next exposure ..." : "resetting ...");
   if (callers.empty())
@@ -261,15 +282,16 @@ void TreatmentCommands::trackerAnswered(Command which, const std::string& detect
   std::string faults;
   {
     const std::lock_guard<std::mutex> lock(mutex_);
+    Round& round = rounds_[static_cast<std::size_t>(which)];
     if (!response || !response->success)
     {
-      tracker_faults_ += (tracker_faults_.empty() ? "" : "; ") + detector + ": " + (response ? response->message : why);
+      round.faults += (round.faults.empty() ? "" : "; ") + detector + ": " + (response ? response->message : why);
     }
-    if (--waiting_for_ > 0)
+    if (--round.waiting_for > 0)
     {
       return;
     }
-    faults = tracker_faults_;
+    faults = round.faults;
   }
   if (which == Command::RESET && faults.empty())
   {

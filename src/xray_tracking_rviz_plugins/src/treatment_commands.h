@@ -66,6 +66,13 @@ private:
     std::unique_ptr<ServiceCaller<Trigger>> retrain, reset;
   };
 
+  /// What trackers have yet to answer, and what went wrong so far.
+  struct Round
+  {
+    int waiting_for = 0;
+    std::string faults;
+  };
+
   void refineDone(const actionlib::SimpleClientGoalState& state,
                   const xray_tracking_msgs::RefinePoseResultConstPtr& result);
   void sendGoal();
@@ -82,6 +89,9 @@ private:
   std::array<std::string, kCommands> wants() const;
 
   CommandState& command(Command which) { return commands_[static_cast<std::size_t>(which)]; }
+  /// Of the hold's service; with the mutex locked. @return false if an earlier call is still under way
+  bool callHold(bool on);
+  void holdAnswered(bool success, const std::string& text);
   void begin(Command which, const std::string& text);
   void end(Command which, bool success, const std::string& text);
   /// Of every tracker; the last answer ends it.
@@ -96,9 +106,10 @@ private:
   std::array<CommandState, kCommands> commands_;
   bool registration_ = false;
   std::optional<bool> hold_asked_;  ///< what was asked last and has not been confirmed by the gate
+  bool hold_called_ = false;        ///< what the last call of the service was for
+  bool hold_answered_ = false;      ///< a call for what was asked last has succeeded
   std::int64_t hold_tried_ = 0;     ///< monotonic clock [ns]
-  int waiting_for_ = 0;             ///< answers of trackers
-  std::string tracker_faults_;
+  std::array<Round, kCommands> rounds_;
   std::int64_t refine_began_ = 0;
   bool send_again_ = false;
   std::unique_ptr<ServiceCaller<std_srvs::SetBool>> hold_;

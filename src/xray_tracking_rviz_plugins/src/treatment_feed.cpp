@@ -94,6 +94,12 @@ void TreatmentFeed::show(TreatmentView& view) const
   view.gate_view = gateNow();
   view.motion = motion_;
   view.refined = refined_;
+  if (gate_ && !gate_->message.exposure.isZero())
+  {
+    view.exposure_age = gate_->message.age.toSec() + 1e-9 * static_cast<double>(steadyNanoseconds() - gate_->arrival);
+    view.stale = *view.exposure_age > gate_->message.max_age.toSec();
+    view.measured = view.gate_view.light != GateLight::SILENT && motion_ && motion_->state == PatientMotion::OK;
+  }
   view.motion_arrival = motion_arrival_;
   view.refined_arrival = refined_arrival_;
   const auto& exposures = exposures_.entries();
@@ -137,16 +143,32 @@ void TreatmentFeed::noteLight()
   }
 }
 
-void TreatmentFeed::gateCb(const BeamGate::ConstPtr& message)
+void TreatmentFeed::gateCb(const ros::MessageEvent<BeamGate const>& event)
 {
+  const BeamGate::ConstPtr& message = event.getConstMessage();
   gate_said_(*message);
   const std::lock_guard<std::mutex> lock(mutex_);
-  const bool new_exposure = !gate_ || gate_->message.exposure != message->exposure;
-  gate_ = HeardGate{ *message, steadyNanoseconds() };
-  if (new_exposure && !message->exposure.isZero() && std::isfinite(message->rotation))
+  const std::int64_t now = steadyNanoseconds();
+  gates_from_[event.getPublisherName()] = now;
+  const auto lately = [&](const auto& entry) { return now - entry.second < kSecond / 2; };
+  gate_ = HeardGate{ *message, now,
+                     static_cast<std::size_t>(std::count_if(gates_from_.begin(), gates_from_.end(), lately)) };
+  noteRotation();
+}
+
+void TreatmentFeed::noteRotation()
+{
+  // Only patient_motion tells whether an exposure has a pose. Where it has none, the gate repeats an earlier rotation.
+  if (!gate_ || !motion_ || motion_->header.stamp != gate_->message.exposure || motion_->header.stamp == rotation_of_)
   {
-    charts_[static_cast<std::size_t>(Quantity::ROTATION)].add(steadyNanoseconds(), kDegrees * message->rotation);
+    return;
   }
+  rotation_of_ = motion_->header.stamp;
+  const double rotation = gate_->message.rotation;
+  charts_[static_cast<std::size_t>(Quantity::ROTATION)].add(
+      steadyNanoseconds(), motion_->state == PatientMotion::OK && std::isfinite(rotation)
+                               ? kDegrees * rotation
+                               : std::numeric_limits<double>::quiet_NaN());
 }
 
 void TreatmentFeed::motionCb(const PatientMotion::ConstPtr& message)
@@ -165,6 +187,7 @@ void TreatmentFeed::motionCb(const PatientMotion::ConstPtr& message)
   add(Quantity::SIGMA, measured ? worstSigma(message->covariance) : nan);
   add(Quantity::DISAGREEMENT, measured ? message->disagreement : nan);
   add(Quantity::LATENCY, 1e3 * message->wall_time.toSec());
+  noteRotation();
 }
 
 void TreatmentFeed::refinedCb(const RefinedPose::ConstPtr& message)

@@ -51,10 +51,12 @@ private:
     ros::Subscriber subscriber;
   };
 
-  void gateCb(const xray_tracking_msgs::BeamGate::ConstPtr& message);
+  void gateCb(const ros::MessageEvent<xray_tracking_msgs::BeamGate const>& event);
   void motionCb(const xray_tracking_msgs::PatientMotion::ConstPtr& message);
   void refinedCb(const xray_tracking_msgs::RefinedPose::ConstPtr& message);
   void trackedCb(const xray_tracking_msgs::TrackedRegion::ConstPtr& message, Tracker& tracker);
+  /// Of the latest exposure, once its gate and its motion are both there; with the mutex locked.
+  void noteRotation();
   void addTracker(const std::string& detector);
   GateView gateNow() const;
 
@@ -62,10 +64,12 @@ private:
   GateSaid gate_said_;
   mutable std::mutex mutex_;  ///< of all that follows, but for the subscribers
   std::optional<HeardGate> gate_;
+  std::map<std::string, std::int64_t> gates_from_;  ///< when each node's last gate came, monotonic clock [ns]
   std::optional<xray_tracking_msgs::PatientMotion> motion_;
   std::optional<xray_tracking_msgs::RefinedPose> refined_;
   std::optional<geometry_msgs::Pose> pose_;
   std::int64_t motion_arrival_ = 0, refined_arrival_ = 0;
+  ros::Time rotation_of_;         ///< stamp of the exposure whose rotation was noted last
   RecentValues<bool> exposures_;  ///< arrivals
   Charts charts_;
   Lights lights_;

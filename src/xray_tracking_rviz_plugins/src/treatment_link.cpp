@@ -66,17 +66,20 @@ void TreatmentLink::watch()
   }
 }
 
-void TreatmentLink::beat()
+void TreatmentLink::beat(bool shown)
 {
   feed_.noteLight();
   if (!commands_.holdIsConfirmed())
   {
     return;
   }
-  std_msgs::Header header;
-  header.stamp = ros::Time::now();
-  header.frame_id = ros::this_node::getName();
-  heartbeat_.publish(header);
+  if (shown)
+  {
+    std_msgs::Header header;
+    header.stamp = ros::Time::now();
+    header.frame_id = ros::this_node::getName();
+    heartbeat_.publish(header);
+  }
   commands_.refineAgain();
 }
 }  // namespace xray_tracking

@@ -27,7 +27,8 @@ public:
   /// To be called some times a second by who shows all this, from the thread that takes the operator's input: says by
   /// the heartbeat that the operator can hold the beam. Not while a hold that was asked for has not been confirmed:
   /// motion estimation then holds for the silence.
-  void beat();
+  /// @param shown whether there is something to hold it by; no heartbeat otherwise
+  void beat(bool shown);
 
 private:
   /// Asks the master what there is, again and again.

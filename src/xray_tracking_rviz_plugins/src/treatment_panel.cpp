@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include <QApplication>
 #include <QDir>
 #include <QFileDialog>
 #include <QFileInfo>
@@ -232,10 +233,7 @@ void TreatmentPanel::onInitialize()
   const ros::NodeHandle nh;
   link_ = std::make_unique<TreatmentLink>(nh);
   const QString prefix = QString::fromStdString(nh.resolveName("x")).chopped(1);
-  recorder_ = new BagRecorder(
-      "(" + prefix + "([^/]+/(image_raw|camera_info|tracked_region)|patient_pose|patient_motion|predicted_pose|" +
-          "beam_gate|refined_pose|patient_ground_truth)|/tf|/tf_static|/diagnostics|/rosout)",
-      this);
+  recorder_ = new BagRecorder(recordedTopics(prefix), this);
   connect(hold_, &QPushButton::clicked, this, [this] { link_->commands().hold(true); });
   connect(release_, &QPushButton::clicked, this, [this] { link_->commands().hold(false); });
   connect(train_, &QPushButton::clicked, this, [this] { link_->commands().train(); });
@@ -272,14 +270,15 @@ void TreatmentPanel::tick()
   last_tick_ = now;
   if (steady_ticks_ >= kSteady)
   {
-    link_->beat();
+    // A modal dialog of whomever keeps the operator from the button.
+    link_->beat(isVisible() && QApplication::activeModalWidget() == nullptr);
   }
   const TreatmentView view = link_->view();
   banner_->display(view.gate_view);
+  bars_->display(view);  // as often: both have figures of the same thing
   release_->setEnabled(view.gate_view.light == GateLight::HELD);
   if (++ticks_ % 3 == 0)
   {
-    bars_->display(view);
     showStatus(view);
     showCommands(view);
     const TreatmentFeed::Charts charts = link_->feed().charts();
@@ -302,12 +301,11 @@ void TreatmentPanel::showStatus(const TreatmentView& view)
   {
     exposure_->setText(coloured(QString::fromStdString(view.frozen_clock), look::kWarning));
   }
-  else if (view.gate && !view.gate->message.exposure.isZero())
+  else if (view.exposure_age)
   {
-    const double age = view.gate->message.age.toSec() + 1e-9 * static_cast<double>(now - view.gate->arrival);
-    const bool stale = age > view.gate->message.max_age.toSec();
-    exposure_->setText(coloured("last one " + seconds(age) + " ago", stale ? look::kBad : look::kText) +
-                       quiet("  " + QString::number(view.rate, 'f', 1) + " a second"));
+    exposure_->setText(
+        coloured("last one " + seconds(*view.exposure_age) + " ago", view.stale ? look::kBad : look::kText) +
+        quiet("  " + QString::number(view.rate, 'f', 1) + " a second"));
   }
   else
   {
@@ -365,7 +363,7 @@ void TreatmentPanel::showCommands(const TreatmentView& view)
   }
   if (!last_message_.isEmpty() && (newest_ == kCommands || recorder_->recording()))
   {
-    lines << quiet(last_message_);
+    lines << coloured(last_message_, recorder_->fault().isEmpty() ? look::kQuiet : look::kBad);
   }
   const QString text = lines.join("<br>");
   if (message_->text() != text)
@@ -374,9 +372,23 @@ void TreatmentPanel::showCommands(const TreatmentView& view)
   }
 }
 
+bool TreatmentPanel::asking()
+{
+  auto* dialog = findChild<QDialog*>();
+  if (dialog != nullptr)
+  {
+    dialog->raise();
+  }
+  return dialog != nullptr;
+}
+
 void TreatmentPanel::chooseCt()
 {
-  // Not native, and not modal: time goes on, and with it the heartbeat.
+  if (asking())
+  {
+    return;
+  }
+  // Not native, and not modal: time goes on, and with it the heartbeat; the beam can be held meanwhile.
   auto* dialog = new QFileDialog(this, "A CT: a volume file, or any file of a DICOM series' folder", ct_folder_,
                                  "Volumes (*.nrrd *.nhdr *.mha *.mhd *.nii *.nii.gz *.dcm);;All files (*)");
   dialog->setOption(QFileDialog::DontUseNativeDialog);
@@ -390,11 +402,15 @@ void TreatmentPanel::chooseCt()
             link_->commands().loadCt((slice ? file.absolutePath() : file.absoluteFilePath()).toStdString());
             Q_EMIT configChanged();
           });
-  dialog->open();
+  dialog->show();
 }
 
 void TreatmentPanel::confirmReset()
 {
+  if (asking())
+  {
+    return;
+  }
   auto* box = new QMessageBox(QMessageBox::Warning, "Reset",
                               "Trackers forget their templates, and motion estimation starts over.\n\n"
                               "You state that the patient IS at the setup's initial pose.",
@@ -409,7 +425,8 @@ void TreatmentPanel::confirmReset()
               link_->commands().reset();
             }
           });
-  box->open();
+  box->setModal(false);
+  box->show();
 }
 
 void TreatmentPanel::toggleRecording()

@@ -19,8 +19,8 @@ class StripChart;
 class ToleranceBars;
 
 /// The gate, what it rests on, and what an operator does about it: hold the beam, train, refine, reset, load a CT,
-/// record. While it lives, its heartbeat on `operator_present` says that the operator can hold the beam; when it is
-/// closed, hangs or dies, motion estimation holds it.
+/// record. While it lives, is not hidden, and no modal dialog is open, its heartbeat on `operator_present` says that
+/// the operator can hold the beam; when it is closed, hangs or dies, motion estimation holds it.
 class TreatmentPanel : public rviz::Panel
 {
   Q_OBJECT
@@ -41,6 +41,8 @@ private:
   void tick();
   void showStatus(const TreatmentView& view);
   void showCommands(const TreatmentView& view);
+  /// Whether a dialog of ours is open, which is brought to the front.
+  bool asking();
   void chooseCt();
   void confirmReset();
   void toggleRecording();

@@ -66,6 +66,10 @@ struct TreatmentView
   std::int64_t motion_arrival = 0, refined_arrival = 0;  ///< monotonic clock [ns]
   bool registration = false;                             ///< the node is there
   double rate = 0.0;                                     ///< exposures a second, over the last five
+  /// What the gate says of the target is of its latest exposure: that has a pose. Otherwise it is of an earlier one.
+  bool measured = false;
+  std::optional<double> exposure_age;  ///< of the gate's latest exposure [s]; none: there is none
+  bool stale = false;                  ///< it is older than the gate lets it be
   std::vector<TrackerView> trackers;
   double max_displacement = 3.0, max_rotation = 3.0, max_sigma = 1.5;  ///< the gate's tolerances [mm, degrees, mm]
   std::array<CommandState, kCommands> commands;

@@ -98,6 +98,7 @@ void GateBanner::paintEvent(QPaintEvent*)
 
 ToleranceBars::ToleranceBars(QWidget* parent) : QWidget(parent)
 {
+  setObjectName("tolerance_bars");
   bars_ = { { { "Room x", "mm", true, std::nullopt, 3.0 },
               { "Room y", "mm", true, std::nullopt, 3.0 },
               { "Room z", "mm", true, std::nullopt, 3.0 },
@@ -119,7 +120,8 @@ void ToleranceBars::display(const TreatmentView& view)
   }
   bars_[4].tolerance = view.max_rotation;
   bars_[5].tolerance = view.max_sigma;
-  if (view.gate && view.gate_view.light != GateLight::SILENT && !view.gate->message.exposure.isZero())
+  stale_ = view.stale;
+  if (view.measured)
   {
     const auto& gate = view.gate->message;
     const double axes[] = { gate.displacement.x, gate.displacement.y, gate.displacement.z };
@@ -131,10 +133,7 @@ void ToleranceBars::display(const TreatmentView& view)
     }
     bars_[3].value = std::sqrt(squares);
     bars_[4].value = kDegrees * gate.rotation;
-    if (view.motion && view.motion->state == xray_tracking_msgs::PatientMotion::OK)
-    {
-      bars_[5].value = worstSigma(view.motion->covariance);
-    }
+    bars_[5].value = worstSigma(view.motion->covariance);
   }
   for (Bar& bar : bars_)
   {
@@ -178,7 +177,7 @@ void ToleranceBars::paintEvent(QPaintEvent*)
       const bool within = std::abs(*bar.value) <= bar.tolerance;
       const double from = at(0.0);
       const double to = at(*bar.value);
-      painter.setBrush(within ? look::kAccent : look::kBad);
+      painter.setBrush(stale_ ? look::kQuiet : within ? look::kAccent : look::kBad);
       painter.drawRect(
           QRectF(QPointF(std::min(from, to), field.top() + 2), QPointF(std::max(from, to), field.bottom() - 2)));
     }
@@ -194,7 +193,7 @@ void ToleranceBars::paintEvent(QPaintEvent*)
       painter.drawLine(QPointF(at(-bar.tolerance), field.top() - 2), QPointF(at(-bar.tolerance), field.bottom() + 2));
     }
     painter.setFont(sized(15, true));
-    painter.setPen(bar.value ? look::kText : look::kQuiet);
+    painter.setPen(bar.value && !stale_ ? look::kText : look::kQuiet);
     const QString number = bar.value ? QString::number(*bar.value, 'f', bar.unit[0] == 'm' ? 2 : 1) : QString("-");
     painter.drawText(row, Qt::AlignRight | Qt::AlignVCenter,
                      number + (bar.unit[0] == 'm' ? " " : "") + QString::fromUtf8(bar.unit));

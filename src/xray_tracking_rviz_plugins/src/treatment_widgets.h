@@ -29,12 +29,16 @@ private:
   GateView view_;
 };
 
-/// Displacement by axis, distance, rotation and uncertainty, each against its tolerance.
+/// Displacement by axis, distance, rotation and uncertainty, each against its tolerance; of an exposure without a pose
+/// nothing, of a stale one without colour.
 class ToleranceBars : public QWidget
 {
 public:
   explicit ToleranceBars(QWidget* parent);
   void display(const TreatmentView& view);
+  /// What is shown, if there is anything. @param bar 0 to 5, in the order above
+  std::optional<double> value(std::size_t bar) const { return bars_.at(bar).value; }
+  bool stale() const { return stale_; }
 
 protected:
   void paintEvent(QPaintEvent* event) override;
@@ -49,6 +53,7 @@ private:
     double tolerance;
   };
   std::array<Bar, 6> bars_;
+  bool stale_ = false;
 };
 
 /// One quantity over the last minute, with the gate's colour behind.

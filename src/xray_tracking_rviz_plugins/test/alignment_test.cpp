@@ -23,6 +23,7 @@
 #include <QComboBox>
 #include <QLabel>
 #include <QPushButton>
+#include <QRegularExpression>
 
 #include "radiograph_panel.h"
 #include "xray_tracking_conversions/conversions.h"
@@ -322,9 +323,14 @@ TEST_F(AlignmentTest, ByMouseAndKeysToARegisteredPoseOnTf)
   expectMisplaced();
   const ros::Time asked = ros::Time::now();
   click(button("register"));
+  // What is moved while the registration is at it was not asked for: it is told from where that began.
+  steps->setCurrentIndex(steps->findData(10.0));
+  clickStep("shift_y+");
   ASSERT_TRUE(spinUntil([&] { return message().contains("Registered") || message().contains("Not registered"); }))
       << message().toStdString();
   EXPECT_TRUE(message().contains("Registered")) << message().toStdString();
+  EXPECT_LT(QRegularExpression("Registered, ([0-9.]+) mm").match(message()).captured(1).toDouble(), 5.0)
+      << message().toStdString();
   ASSERT_TRUE(spinUntil([&] { return patient() && patient()->second > asked && gate_.verified; })) << gate_.text;
   spin(1.0);
   // As good as a registration of the phantom is: 0.2 mm.

@@ -71,6 +71,15 @@ TEST(GateLightTest, NoMessageLastsLongWhateverItSays)
   EXPECT_EQ(gateView(open, open.arrival, std::nullopt).light, GateLight::SILENT);
 }
 
+TEST(GateLightTest, OfSeveralGatesNoneIsBelieved)
+{
+  HeardGate open = heard(true, BeamGate::NONE);
+  open.publishers = 2;
+  const GateView view = gateView(open, open.arrival, std::nullopt);
+  EXPECT_EQ(view.light, GateLight::SILENT);
+  EXPECT_NE(view.reason.find("2 nodes send gates"), std::string::npos) << view.reason;
+}
+
 TEST(RecentValuesTest, KeepsTheSpanAndWhatWasSoWhenItBegan)
 {
   RecentValues<int> values(100, 1000);

@@ -1,4 +1,6 @@
 // What is known of a detector, its exposures and its track.
+#include <cmath>
+
 #include <gtest/gtest.h>
 
 #include <boost/make_shared.hpp>
@@ -58,6 +60,17 @@ TEST(ExposureToShow, StaysCompleteBetweenExposuresThatComeSlowly)
     EXPECT_EQ(exposureToShow(images, late, 0.31, 0.3), images[1]) << interval;
     EXPECT_EQ(exposureToShow(images, { images }, 0.1, 0.3), images[1]) << interval;
   }
+}
+
+TEST(ReplacedFor, CountsFromWhenTheNextOneCame)
+{
+  const auto images = times({ 10.0, 10.2, 10.4 });
+  EXPECT_EQ(replacedFor(images, ros::Time(10.4), 7.0), 0.0);
+  EXPECT_NEAR(replacedFor(images, ros::Time(10.2), 7.0), 7.0, 1e-9);
+  EXPECT_NEAR(replacedFor(images, ros::Time(10.0), 0.1), 0.3, 1e-9);
+  EXPECT_NEAR(replacedFor(images, ros::Time(9.0), 0.1), 1.5, 1e-9);
+  EXPECT_TRUE(std::isinf(replacedFor(images, ros::Time(11.0), 0.1)));  // time has gone back
+  EXPECT_TRUE(std::isinf(replacedFor({}, ros::Time(11.0), 0.0)));
 }
 
 TEST(Recent, BeginsAnewWhenTimeGoesBack)

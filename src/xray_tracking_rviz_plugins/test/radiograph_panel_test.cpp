@@ -120,7 +120,10 @@ protected:
     pose.header.stamp = stamp;
     pose.header.frame_id = "treatment_room";
     pose.pose.pose.orientation.w = 1.0;
-    pose_.publish(pose);
+    if (posed_)
+    {
+      pose_.publish(pose);
+    }
     if (residuals_)
     {
       residuals_(stamp);
@@ -189,6 +192,7 @@ protected:
   SyntheticDetector left_{ "left", 512 };
   SyntheticDetector right_{ "right", 512 };
   ros::Publisher pose_;
+  bool posed_ = true;                                      ///< exposures have a pose
   std::function<void(const ros::Time& stamp)> residuals_;  ///< publishes them along, if there are any
   RadiographPanel* panel_ = nullptr;
 };
@@ -345,6 +349,25 @@ TEST_F(RadiographPanelTest, LaysTheCtOverTheExposureThatWasRendered)
   EXPECT_EQ(services.rendered, after);  // nobody looks
 }
 
+/// A target that is lost is seen where it is now, not where it was rendered last.
+TEST_F(RadiographPanelTest, WhatWasRenderedDoesNotStayInFrontOfExposuresWithoutAPose)
+{
+  FakeServices services;
+  panel_->findChild<QComboBox*>("overlay")->setCurrentIndex(static_cast<int>(Overlay::EDGES));
+  run(5.0, [&] { return view(0).picture().request.rendering != nullptr; });
+  ASSERT_TRUE(view(0).picture().request.rendering);
+  posed_ = false;
+  run(4.0, [&] { return !view(0).picture().request.rendering; });
+  EXPECT_FALSE(view(0).picture().request.rendering);
+  run(0.5);
+  EXPECT_LT((ros::Time::now() - view(0).picture().request.image->header.stamp).toSec(), 1.0);
+  const QString said = panel_->findChild<QLabel*>("rendering")->text();
+  EXPECT_TRUE(said.contains("No CT")) << said.toStdString();
+  posed_ = true;
+  run(5.0, [&] { return view(0).picture().request.rendering != nullptr; });
+  EXPECT_TRUE(view(0).picture().request.rendering);
+}
+
 TEST_F(RadiographPanelTest, SurvivesWhatComes)
 {
   sensor_msgs::CameraInfo info = left_.cameraInfo();
@@ -424,6 +447,24 @@ TEST_F(RadiographPanelTest, KeepsItsSettings)
   EXPECT_TRUE(panel_->findChild<QPushButton*>("residuals")->isChecked());
   EXPECT_NEAR(view(0).picture().window.low, 1234.5, 0.01);
   EXPECT_NEAR(view(0).picture().window.high, 30000.25, 0.01);
+
+  // Also of detectors that have not come, or have no image so far, when it is saved.
+  rviz::Config later = config.mapGetChild("Windows").mapMakeChild("later");
+  later.mapSetValue("Black", 12.5);
+  later.mapSetValue("White", 25.0);
+  auto* dark = dynamic_cast<RadiographPanel*>(addPanel("xray_tracking_rviz_plugins/RadiographPanel"));
+  ASSERT_NE(dark, nullptr);
+  dark->load(config);
+  spin(1.5);
+  ASSERT_EQ(dark->panes().size(), 2U);
+  rviz::Config saved;
+  dark->save(saved);
+  for (const auto& [name, black] : { std::pair("left", 1234.5F), std::pair("later", 12.5F) })
+  {
+    float kept = 0.0F;
+    EXPECT_TRUE(saved.mapGetChild("Windows").mapGetChild(name).mapGetFloat("Black", &kept)) << name;
+    EXPECT_NEAR(kept, black, 0.01) << name;
+  }
 }
 }  // namespace
 }  // namespace xray_tracking

@@ -4,7 +4,6 @@
 
 #include <algorithm>
 #include <chrono>
-#include <functional>
 #include <memory>
 #include <string>
 #include <vector>
@@ -18,6 +17,8 @@
 #include <rviz/panel.h>
 #include <rviz/visualization_frame.h>
 #include <rviz/visualization_manager.h>
+
+#include "spin_until.h"
 
 namespace xray_tracking
 {
@@ -108,28 +109,6 @@ protected:
     }
     docks_.clear();
     spin(0.1);
-  }
-
-  /// Lets the window live until the condition holds. @return whether it did in time [s]
-  static bool spinUntil(const std::function<bool()>& condition, double seconds = 10.0)
-  {
-    const auto end = std::chrono::steady_clock::now() + std::chrono::duration<double>(seconds);
-    while (!condition())
-    {
-      if (std::chrono::steady_clock::now() > end)
-      {
-        return false;
-      }
-      QApplication::processEvents(QEventLoop::AllEvents, 10);
-      ros::WallDuration(0.002).sleep();
-    }
-    return true;
-  }
-
-  /// Lets the window live for so long. [s]
-  static void spin(double seconds)
-  {
-    spinUntil([] { return false; }, seconds);
   }
 
   static rviz::Display* addDisplay(const std::string& class_id)

@@ -217,12 +217,13 @@ ExtractedSequence writeSequenceFolder(const Recording& recording, const std::str
                                       const std::string& folder)
 {
   const TreatmentSetup setup = recording.setup(setup_path);
-  const std::filesystem::path path(folder);
-  if (std::filesystem::exists(path))
+  // Without a slash at its end: what is written first goes beside it, not into it.
+  const std::filesystem::path path(folder.substr(0, folder.find_last_not_of('/') + 1));
+  if (path.empty() || std::filesystem::exists(path))
   {
     throw std::runtime_error(folder + ": is there already, expected a new folder");
   }
-  const std::filesystem::path partial(folder + ".partial");
+  const std::filesystem::path partial(path.string() + ".partial");
   std::filesystem::remove_all(partial);
   std::filesystem::create_directories(partial);
   try

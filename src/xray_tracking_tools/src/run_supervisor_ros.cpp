@@ -38,6 +38,8 @@ const char* stateName(std::uint8_t state)
       return "NO_REFERENCE";
     case PatientMotion::BAD_STAMP:
       return "BAD_STAMP";
+    case PatientMotion::UNREGISTERED:
+      return "UNREGISTERED";
     default:
       return "state unknown";
   }
@@ -120,21 +122,21 @@ RunSupervisorRos::RunSupervisorRos(ros::NodeHandle nh, const ros::NodeHandle& pn
   playback_ = start_mode == "playback";
   start_service_ = nh.resolveName(reader.read<std::string>("start_service", "start"));
 
-  XmlRpc::XmlRpcValue required;
-  if (pnh.getParam("required_subscribers", required))
+  auto required = reader.read("required_subscribers", XmlRpc::XmlRpcValue());
+  if (required.valid())
   {
     addRequiredSubscribers(required, "~required_subscribers", nh, nh, required_subscribers_);
   }
-  XmlRpc::XmlRpcValue required_of_detectors;
-  const bool detectors_require = pnh.getParam("required_detector_subscribers", required_of_detectors);
+  auto required_of_detectors = reader.read("required_detector_subscribers", XmlRpc::XmlRpcValue());
   const auto names = reader.read<std::vector<std::string>>("detectors", { "detector_a", "detector_b" });
+  reader.warnOfUnread();
   if (names.empty())
   {
     throw std::invalid_argument("~detectors is empty, expected the detectors' names");
   }
   for (const std::string& name : names)
   {
-    if (detectors_require)
+    if (required_of_detectors.valid())
     {
       addRequiredSubscribers(required_of_detectors, "~required_detector_subscribers", ros::NodeHandle(nh, name), nh,
                              required_subscribers_);

@@ -53,6 +53,7 @@ const std_msgs::ColorRGBA kBeamColour = colour(1.0F, 0.85F, 0.2F, 0.25F);
 const std_msgs::ColorRGBA kIsocentreColour = colour(1.0F, 1.0F, 1.0F, 1.0F);
 const std_msgs::ColorRGBA kTargetColour = colour(0.9F, 0.3F, 0.9F, 1.0F);
 const std_msgs::ColorRGBA kTrailColour = colour(0.3F, 0.8F, 1.0F, 1.0F);
+const std_msgs::ColorRGBA kOldColour = colour(0.55F, 0.6F, 0.65F, 0.5F);
 const std_msgs::ColorRGBA kOpenColour = colour(0.2F, 0.9F, 0.3F, 1.0F);
 const std_msgs::ColorRGBA kHoldColour = colour(1.0F, 0.2F, 0.2F, 1.0F);
 
@@ -234,6 +235,14 @@ std::vector<Marker> regionMarkers(const ProjectionGeometry& detector, int id, co
     outline.action = ray.action = Marker::DELETE;
   }
   return { ray, outline };
+}
+
+void fade(std::vector<Marker>& markers)
+{
+  for (Marker& marker : markers)
+  {
+    marker.color = kOldColour;
+  }
 }
 
 Marker trailMarker(const std::vector<geometry_msgs::Point>& points)

@@ -14,7 +14,8 @@ namespace xray_tracking
 {
 namespace
 {
-constexpr double kGateSilence = 0.5;  // [s]; it comes every 20 ms
+constexpr double kGateSilence = 0.5;    // [s]; it comes every 20 ms
+constexpr double kRegionSilence = 2.0;  // [s]; what a tracker said earlier is told as old
 
 nlohmann::json jsonOf(XmlRpc::XmlRpcValue value)
 {
@@ -72,6 +73,7 @@ void TreatmentRoomPublisherRos::start(const ros::NodeHandle& pnh)
   {
     throw std::invalid_argument("~trail_length is " + std::to_string(trail_length) + ", expected 2 or more");
   }
+  reader.warnOfUnread();
   setup_ = loadTreatmentSetup(setup_file);
   trail_length_ = trail_length;
   static_markers_ = staticMarkers(setup_);
@@ -133,14 +135,18 @@ void TreatmentRoomPublisherRos::poseCallback(const geometry_msgs::PoseWithCovari
 
 void TreatmentRoomPublisherRos::regionCallback(std::size_t detector, const xray_tracking_msgs::TrackedRegion& message)
 {
-  region_markers_[detector] = regionMarkers(setup_.detectors[detector], static_cast<int>(detector), message);
+  regions_[detector] = { regionMarkers(setup_.detectors[detector], static_cast<int>(detector), message),
+                         ros::SteadyTime::now() };
   changed_ = true;
 }
 
 void TreatmentRoomPublisherRos::gateCallback(const xray_tracking_msgs::BeamGate& message)
 {
   last_gate_ = ros::SteadyTime::now();
-  showGate(message.open != 0, message.text);
+  // Simulated time may run faster than messages do, or stand still.
+  const bool valid = ros::Time::isSimTime() || ros::Time::now() <= message.valid_until;
+  showGate(valid && message.open != 0 && message.reason == xray_tracking_msgs::BeamGate::NONE,
+           valid ? message.text : "what comes on beam_gate is not valid any more");
 }
 
 void TreatmentRoomPublisherRos::showGate(bool open, const std::string& why)
@@ -156,6 +162,14 @@ void TreatmentRoomPublisherRos::publishMarkers()
   {
     showGate(false, "nothing on beam_gate");
   }
+  for (auto& [detector, region] : regions_)
+  {
+    if (!region.old && (ros::SteadyTime::now() - region.arrival).toSec() > kRegionSilence)
+    {
+      region.old = changed_ = true;
+      fade(region.markers);
+    }
+  }
   if (!changed_)
   {
     return;
@@ -164,9 +178,9 @@ void TreatmentRoomPublisherRos::publishMarkers()
   // Always everything: a latched topic keeps one message for those who come later.
   visualization_msgs::MarkerArray message;
   message.markers = static_markers_;
-  for (const auto& [detector, markers] : region_markers_)
+  for (const auto& [detector, region] : regions_)
   {
-    message.markers.insert(message.markers.end(), markers.begin(), markers.end());
+    message.markers.insert(message.markers.end(), region.markers.begin(), region.markers.end());
   }
   message.markers.push_back(trailMarker(trail_));
   message.markers.push_back(gate_marker_);

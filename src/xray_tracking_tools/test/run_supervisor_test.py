@@ -92,6 +92,15 @@ class RunSupervisorTest(unittest.TestCase):
         self.assertIn("exposure 5 / 5: OK", output)
         self.assertIn("all 5 exposures were answered", output)
 
+    def test_an_exposure_that_is_not_registered_is_told_as_such(self):
+        graph = Graph("unregistered")
+        process = graph.supervise(exposures=1)
+        self.wait_for(lambda: len(graph.requests) == 1, "call of start")
+        graph.expose(0, state=PatientMotion.UNREGISTERED)
+        status, output = self.end_of(process)
+        self.assertEqual(status, 0, output)
+        self.assertIn("exposure 1 / 1: UNREGISTERED", output)
+
     def test_start_waits_for_the_subscriber(self):
         graph = Graph("waiting")
         # As roslaunch does, a name at a time: the parameter server nests what has slashes.
@@ -155,6 +164,14 @@ class RunSupervisorTest(unittest.TestCase):
         self.assertIn("/no_listener/nothing has no publisher", output)
         self.assertIn("/no_listener/patient_pose from /run_supervisor_test does not reach /no_listener/nobody", output)
         self.assertEqual(len(graph.requests), 0)
+
+    def test_a_misspelt_parameter_is_named(self):
+        graph = Graph("misspelt")
+        rospy.set_param(graph.ns + "/run_supervisor/required_subscribers/patient_pose", ["nobody"])
+        status, output = self.end_of(graph.supervise(exposures=6, stall_timeout=1.0, stal_timeout=300.0))
+        self.assertEqual(status, 1, output)
+        self.assertIn("parameter /misspelt/run_supervisor/stal_timeout is set, but there is none of this name", output)
+        self.assertEqual(output.count("there is none of this name"), 1, output)
 
     def test_bad_parameters(self):
         cases = [({}, "~exposures is 0"), ({"exposures": -3}, "~exposures is -3"),

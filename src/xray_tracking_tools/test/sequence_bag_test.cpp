@@ -288,6 +288,9 @@ TEST(BagSequence, TakesWhatIsComplete)
   EXPECT_EQ(21, sequence.image(1, 1).at<std::uint16_t>(3, 3));
   EXPECT_DOUBLE_EQ(100.0 + 2.0 / 3.0, sequence.gold_standard[1].room_from_patient.translation().x());
   EXPECT_EQ(6, std::distance(std::filesystem::directory_iterator(folder.file("sequence")), {}) - 3);
+  // A folder's name may end as folders' names do.
+  EXPECT_EQ(3u, writeSequenceFolder(recording, folder.file("sequence.yaml"), folder.file("another/")).exposures);
+  EXPECT_EQ(3u, loadSequence(folder.file("another/")).exposures.size());
 }
 
 /// What says that the images are of another geometry than the setup's, or of none, is not read as the setup's.

@@ -4,10 +4,12 @@
 import json
 import math
 import os
+import subprocess
 import unittest
 
 import numpy as np
 import rosgraph
+import roslib.packages
 import rosnode
 import rospy
 import rostest
@@ -163,6 +165,12 @@ class TreatmentRoomPublisherTest(unittest.TestCase):
             self.wait_for(lambda: self.markers[key].color.r > 0.5 and self.markers[key].color.g < 0.5, "red ray")
             np.testing.assert_allclose(self.points(*key)[1], self.pixel(name, 125, 135), atol=2e-6)
 
+            # What a tracker said last is not shown as if it still said so.
+            region.state, region.displacement_x = TrackedRegion.TRACKING, 0.0
+            self.region_publishers[name].publish(region)
+            self.wait_for(lambda: self.markers[key].color.g > 0.8, "green ray")
+            self.wait_for(lambda: self.markers[key].color.g < 0.8, "faded ray of a silent tracker")
+
             region.state = TrackedRegion.UNTRAINED
             self.region_publishers[name].publish(region)
             self.wait_for(lambda: self.markers[key].action == Marker.DELETE, "deleted ray")
@@ -207,7 +215,8 @@ class TreatmentRoomPublisherTest(unittest.TestCase):
         self.wait_for(lambda: self.gate_publisher.get_num_connections() > 0, "a subscriber of beam_gate")
         self.wait_for(lambda: shows(False, "nothing on beam_gate"), "hold before anything came")
 
-        def shows_when_sent(green, word, message):
+        def shows_when_sent(green, word, message, valid_for=10.0):
+            message.valid_until = rospy.Time.now() + rospy.Duration(valid_for)
             self.gate_publisher.publish(message)
             return shows(green, word)
 
@@ -220,6 +229,23 @@ class TreatmentRoomPublisherTest(unittest.TestCase):
         self.assertTrue(all(30 < len(line) <= 44 for line in lines[:-1]), lines)
         self.wait_for(lambda: shows_when_sent(True, "all well", BeamGate(open=True, text="all well")), "open gate")
         self.wait_for(lambda: shows(False, "nothing on beam_gate"), "hold as nothing comes any more")
+        # Of a link that stalls, or of a bag that is played beside.
+        self.wait_for(lambda: shows_when_sent(False, "not valid", BeamGate(open=True, text="all well"), -1.0),
+                      "hold for what has lost its validity")
+        contradiction = BeamGate(open=True, reason=BeamGate.DISPLACED, text="both")
+        self.wait_for(lambda: shows_when_sent(False, "both", contradiction), "hold for what contradicts itself")
+
+    def test_a_misspelt_parameter_is_named(self):
+        program = roslib.packages.find_node("xray_tracking_tools", "treatment_room_publisher")[0]
+        rospy.set_param("/misspelt/treatment_room_publisher/trail_lenght", 5)
+        node = subprocess.Popen([program, "__ns:=/misspelt", "_setup_file:=" + rospy.get_param("/setup_file")],
+                                stdout=subprocess.PIPE, stderr=subprocess.STDOUT, universal_newlines=True)
+        try:
+            rospy.wait_for_message("/misspelt/treatment_room_markers", MarkerArray, WAIT_S)
+        finally:
+            node.terminate()
+        said, _ = node.communicate(timeout=WAIT_S)
+        self.assertIn("parameter /misspelt/treatment_room_publisher/trail_lenght is set, but there is none", said)
 
     def test_bad_setup_is_survived(self):
         names = ["/bad/no_file", "/bad/not_a_setup", "/bad/no_parameter", "/bad/bad_trail"]

@@ -28,7 +28,8 @@ public:
   /// The parameter, or `fallback` if it is not set; roscpp's own param() takes a value of the wrong type for one that
   /// is not set, and rounds 2.5 where a whole number is wanted. A whole number is a number, too.
   /// @param key with the namespaces below the node's own, "gate/max_age"
-  /// @tparam Value bool, int, double, std::string, std::vector<double> or std::vector<std::string>
+  /// @tparam Value bool, int, double, std::string, std::vector<double>, std::vector<std::string>, or
+  /// XmlRpc::XmlRpcValue, which is of any type and takes all that is in it for read
   /// @throws std::invalid_argument naming the parameter, its value and the expected type
   template <typename Value>
   Value read(const std::string& key, const Value& fallback);

@@ -20,7 +20,7 @@ namespace xray_tracking
 {
 /// Makes a run of the graph begin when everybody listens, and end when every exposure is answered.
 ///
-/// Parameters: ~exposures, ~method, ~detectors, ~required_subscribers, ~required_detector_subscribers, ~start_mode,
+/// Parameters: ~exposures, ~detectors, ~required_subscribers, ~required_detector_subscribers, ~start_mode,
 /// ~start_service, ~stall_timeout.
 /// Subscribes: patient_motion, <detector>/camera_info, <detector>/tracked_region.
 /// Calls: ~start_service (std_srvs/Trigger of a simulator, or std_srvs/SetBool of rosbag play's pause_playback).

@@ -26,6 +26,9 @@ std::vector<visualization_msgs::Marker> staticMarkers(const TreatmentSetup& setu
 std::vector<visualization_msgs::Marker> regionMarkers(const ProjectionGeometry& detector, int id,
                                                       const xray_tracking_msgs::TrackedRegion& region);
 
+/// Takes markers' colour away: of what is not known to be so any more.
+void fade(std::vector<visualization_msgs::Marker>& markers);
+
 /// The way of the target's centre; deleted while it has fewer than two points.
 visualization_msgs::Marker trailMarker(const std::vector<geometry_msgs::Point>& points);
 

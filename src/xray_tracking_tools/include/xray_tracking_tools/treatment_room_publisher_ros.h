@@ -31,6 +31,14 @@ public:
   TreatmentRoomPublisherRos(const ros::NodeHandle& nh, const ros::NodeHandle& pnh);
 
 private:
+  /// What a tracker has said last.
+  struct Region
+  {
+    std::vector<visualization_msgs::Marker> markers;
+    ros::SteadyTime arrival;
+    bool old = false;  ///< and shown so
+  };
+
   void start(const ros::NodeHandle& pnh);
   void poseCallback(const geometry_msgs::PoseWithCovarianceStamped& message);
   void regionCallback(std::size_t detector, const xray_tracking_msgs::TrackedRegion& message);
@@ -43,7 +51,7 @@ private:
   std::size_t trail_length_ = 0;
 
   std::vector<visualization_msgs::Marker> static_markers_;
-  std::map<std::size_t, std::vector<visualization_msgs::Marker>> region_markers_;  // by detector
+  std::map<std::size_t, Region> regions_;  // by detector
   std::vector<geometry_msgs::Point> trail_;
   StampPolicy pose_stamps_;
   visualization_msgs::Marker gate_marker_;
