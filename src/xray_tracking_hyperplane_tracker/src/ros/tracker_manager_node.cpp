@@ -26,8 +26,9 @@ int main(int argc, char** argv)
                                   { return !std::regex_match(name, std::regex("[A-Za-z][A-Za-z0-9_]*")); });
   if (wrong != arguments.end())
   {
-    ROS_FATAL("detector '%s': expected a name as in the setup file, a letter followed by letters, digits and underscores",
-              wrong->c_str());
+    ROS_FATAL(
+        "detector '%s': expected a name as in the setup file, a letter followed by letters, digits and underscores",
+        wrong->c_str());
     return 1;
   }
 
