@@ -1,6 +1,9 @@
 #!/usr/bin/python3
 """What a person does to a tracker, and what it does in trouble: services, live settings, loss, overload."""
 
+import subprocess
+
+import roslib.packages
 import rospy
 import rostest
 from dynamic_reconfigure.client import Client
@@ -193,6 +196,15 @@ class TrackerControlTest(TrackerTestCase):
                                                        rospy.ServiceProxy(name + "/" + service, Trigger))
                 self.assertFalse(outcome.success)
                 self.assertIn(parts[0], outcome.message)
+
+    def test_a_manager_names_what_is_no_detector(self):
+        manager = roslib.packages.find_node("xray_tracking_hyperplane_tracker", "tracker_manager_node")[0]
+        for names, words in (([], "usage"), (["detector_a", "detector-b"], "'detector-b'"), ([""], "''"),
+                             (["/room/detector_a"], "'/room/detector_a'"), (["c"] * 2, "each detector named once")):
+            process = subprocess.run([manager, "__name:=a_manager", *names], stderr=subprocess.PIPE, text=True,
+                                     timeout=PATIENCE, check=False)
+            self.assertEqual(process.returncode, 1, process.stderr)
+            self.assertIn(words, process.stderr)
 
 
 if __name__ == "__main__":

@@ -116,10 +116,6 @@ std::vector<ViewLevel> Descender::makeViews(const Run& run, const PosePair& pose
 
 cv::Rect Descender::region(const RegistrationView& view, const RigidTransform& room_from_patient) const
 {
-  if (!view.region.empty())
-  {
-    return view.region;
-  }
   Eigen::AlignedBox2d seen;
   for (int corner = 0; corner < 8; ++corner)
   {
@@ -131,6 +127,10 @@ cv::Rect Descender::region(const RegistrationView& view, const RigidTransform& r
       throw std::invalid_argument("view " + view.geometry.name() + ": does not see the target from the start pose");
     }
     seen.extend(pixel);
+  }
+  if (!view.region.empty())
+  {
+    return view.region;
   }
   const Eigen::Vector2i first = seen.min().array().floor().cast<int>();
   const Eigen::Vector2i end = seen.max().array().ceil().cast<int>() + 1;

@@ -60,6 +60,21 @@ TEST_F(ExposureStoreTest, findsByStampOrTheLatestWhole)
   EXPECT_EQ(nullptr, find(4 * kSecond));
 }
 
+/// What a request leaves out need not have come, of the latest exposure neither.
+TEST_F(ExposureStoreTest, findsTheLatestThatLacksNothingButWhatIsLeftOut)
+{
+  addViews(1 * kSecond);
+  addView(0, 2 * kSecond);
+  addInfo(0, 3 * kSecond);
+  std::int64_t latest = 0;
+  ASSERT_NE(nullptr, store_.find(latest, { "b" }));
+  EXPECT_EQ(2 * kSecond, latest);
+  latest = 0;
+  ASSERT_NE(nullptr, store_.find(latest, { "a" }));
+  EXPECT_EQ(1 * kSecond, latest);
+  EXPECT_EQ("b/image_raw has not arrived", store_.missingView(*find(3 * kSecond), { "a" }));
+}
+
 TEST_F(ExposureStoreTest, isBounded)
 {
   addViews(1 * kSecond);

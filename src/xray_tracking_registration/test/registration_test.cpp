@@ -343,6 +343,14 @@ TEST(Registration, BadRequestsAreAnsweredAndTheNextOneWorks)
   expectInvalid([](auto& request) { request.room_from_patient.translation().x() += 400.0; }, "detector_a");
   expectInvalid([](auto& request) { request.room_from_patient.translation().z() += 9000.0; }, "detector_a");
   expectInvalid([](auto& request) { request.views[0].region = { 500, 500, 300, 300 }; }, "detector_a");
+  // Behind both sources, where a region would be compared all the same.
+  expectInvalid(
+      [](auto& request)
+      {
+        request.room_from_patient.translation().z() += 9000.0;
+        request.views[0].region = request.views[1].region = { 200, 200, 100, 100 };
+      },
+      "detector_a: does not see the target");
   expectInvalid([](auto& request) { request.max_translation_mm = 0.0; }, "bounds");
   expectInvalid([](auto& request) { request.time_budget = std::chrono::duration<double>(-1.0); }, "time budget");
 

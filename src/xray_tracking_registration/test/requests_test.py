@@ -119,6 +119,13 @@ class RequestsTest(RegistrationTestCase):
         """Detectors that are not to be compared: two have to be left, and the phantom's setup has two."""
         self.check_bad(self.good(without=["detector_b"]), RefinementResult.INVALID, "detectors to compare is 1")
         self.check_bad(self.good(without=["detector_x"]), RefinementResult.INVALID, "detector_x", "detector_b")
+        # What is missing is named, and not what is left out.
+        stamp = rospy.Time(104)
+        self.exposure.camera_infos["detector_b"].header.stamp = stamp
+        self.sender.infos["detector_b"].publish(self.exposure.camera_infos["detector_b"])
+        request = self.good(stamp=stamp, without=["detector_a"])
+        self.wait_for(lambda: "lacks a view" in self.service(request).result.reason, "camera_info")
+        self.check_bad(request, RefinementResult.NO_EXPOSURE, "104.0", "lacks a view: detector_b/image_raw")
 
     def test_tf_late_and_changed(self):
         """A camera's frame that tf does not know yet counts once it does; moved, it counts from the next exposure on."""

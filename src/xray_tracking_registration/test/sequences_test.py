@@ -11,6 +11,7 @@ import numpy as np
 import roslib.packages
 import rospy
 import rostest
+from diagnostic_msgs.msg import DiagnosticArray
 
 sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
 from registration_test_case import (DETECTORS, EXPOSURES, RegistrationTestCase, Sender, TIMEOUT,  # noqa: E402
@@ -131,6 +132,13 @@ class SequencesTest(RegistrationTestCase):
             self.assertIn("not_a_volume.nrrd", result.reason)
             answer = load(small_volume(folder))
             self.assertTrue(answer.success, answer.message)
+        # What was answered without a volume is not what is wrong with this one.
+        texts = []
+        subscriber = rospy.Subscriber("/diagnostics", DiagnosticArray, lambda message: texts.extend(
+            status.message for status in message.status if status.name.startswith("no_volume/")))
+        self.wait_for(lambda: texts, "a diagnosis")
+        subscriber.unregister()
+        self.assertEqual(texts[0], "ready")
         # It is another patient's, whom the images do not show.
         self.assertEqual(refine(request).result.status, RefinementResult.UNRELIABLE)
 

@@ -1,6 +1,8 @@
 // A nodelet manager that has the trackers of some detectors in it from its start: started again, it has them again at
 // once. Loaders of their own (nodelet load) take ten seconds to see that their manager has died, and wait for ever if
 // it dies before their bond to it has formed.
+#include <algorithm>
+#include <regex>
 #include <string>
 #include <vector>
 
@@ -16,6 +18,17 @@ int main(int argc, char** argv)
   {
     ROS_FATAL(
         "usage: tracker_manager_node DETECTOR...: expected the detectors whose images are tracked, e.g. detector_a");
+    return 1;
+  }
+  // Of others ROS throws, or looks for the images in another namespace.
+  const auto wrong = std::find_if(arguments.begin() + 1, arguments.end(),
+                                  [](const std::string& name)
+                                  { return !std::regex_match(name, std::regex("[A-Za-z][A-Za-z0-9_]*")); });
+  if (wrong != arguments.end())
+  {
+    ROS_FATAL(
+        "detector '%s': expected a name as in the setup file, a letter followed by letters, digits and underscores",
+        wrong->c_str());
     return 1;
   }
 

@@ -36,7 +36,7 @@ public:
                  const tf2_ros::Buffer& tf_buffer, int capacity);
 
   /// The exposure of a stamp; waits for what of it is still on its way.
-  /// @param stamp_ns zero: the latest with all views
+  /// @param stamp_ns zero: the latest with all views that are waited for
   /// @param without names of detectors that are not waited for
   /// @param broken_off asked whenever something has come, or wake() was called: no reason to wait any longer
   /// @param reason why there is none, if there is none
@@ -62,7 +62,8 @@ private:
   void takeImage(std::size_t detector, const sensor_msgs::ImageConstPtr& image);
   void takeCameraInfo(std::size_t detector, const sensor_msgs::CameraInfoConstPtr& camera_info);
   void warnOfDropped(const std::string& why) const;
-  std::string whyNone(std::int64_t stamp_ns, const StoredExposure* stored) const;
+  std::string whyNone(std::int64_t stamp_ns, const StoredExposure* stored,
+                      const std::vector<std::string>& without) const;
 
   ros::NodeHandle nh_;
   const std::string name_;

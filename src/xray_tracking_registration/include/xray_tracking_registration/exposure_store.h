@@ -49,8 +49,9 @@ public:
   std::size_t run() const { return run_; }
 
   /// The exposure of a stamp; null if there is none.
-  /// @param stamp_ns zero: that of the latest with all views, which it is then set to
-  const StoredExposure* find(std::int64_t& stamp_ns) const;
+  /// @param stamp_ns zero: that of the latest that lacks nothing, which it is then set to
+  /// @param without as missingView's
+  const StoredExposure* find(std::int64_t& stamp_ns, const std::vector<std::string>& without = {}) const;
   /// Names the first image or camera_info that the exposure lacks; empty if it has all.
   /// @param without names of detectors that may be missing
   std::string missingView(const StoredExposure& exposure, const std::vector<std::string>& without = {}) const;

@@ -138,23 +138,25 @@ std::optional<FoundExposure> ExposureIntake::find(std::int64_t stamp_ns, const s
   const StoredExposure* stored = nullptr;
   const auto complete = [&]
   {
-    stored = store_.find(stamp_ns);
+    stored = store_.find(stamp_ns, without);
     return stored != nullptr && store_.missingView(*stored, without).empty();
   };
   if (changed_.wait_for(lock, kArrivalTime, [&] { return broken_off() || complete(); }) && complete())
   {
     return FoundExposure{ stamp_ns, store_.run(), *stored };
   }
-  reason = whyNone(stamp_ns, stored);
+  reason = whyNone(stamp_ns, stored, without);
   return std::nullopt;
 }
 
-std::string ExposureIntake::whyNone(std::int64_t stamp_ns, const StoredExposure* stored) const
+std::string ExposureIntake::whyNone(std::int64_t stamp_ns, const StoredExposure* stored,
+                                    const std::vector<std::string>& without) const
 {
   std::ostringstream reason;
   if (stored != nullptr)
   {
-    reason << "the exposure at " << timeFromNanoseconds(stamp_ns) << " lacks a view: " << store_.missingView(*stored);
+    reason << "the exposure at " << timeFromNanoseconds(stamp_ns)
+           << " lacks a view: " << store_.missingView(*stored, without);
   }
   else if (stamp_ns == 0)
   {

@@ -107,7 +107,7 @@ std::string ExposureStore::missingView(const StoredExposure& exposure, const std
   return std::string();
 }
 
-const StoredExposure* ExposureStore::find(std::int64_t& stamp_ns) const
+const StoredExposure* ExposureStore::find(std::int64_t& stamp_ns, const std::vector<std::string>& without) const
 {
   if (stamp_ns != 0)
   {
@@ -115,7 +115,7 @@ const StoredExposure* ExposureStore::find(std::int64_t& stamp_ns) const
     return entry == exposures_.end() ? nullptr : &entry->second;
   }
   const auto latest = std::find_if(exposures_.rbegin(), exposures_.rend(),
-                                   [this](const auto& entry) { return missingView(entry.second).empty(); });
+                                   [&](const auto& entry) { return missingView(entry.second, without).empty(); });
   if (latest == exposures_.rend())
   {
     return nullptr;

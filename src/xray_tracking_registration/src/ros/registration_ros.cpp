@@ -166,6 +166,7 @@ std::string RegistrationRos::load(const std::string& ct_path)
     {
       registration_ = registration;
       volume_state_ = what;
+      last_result_.reset();  // says nothing of this one
     }
     else if (!registration_)
     {
