@@ -25,6 +25,7 @@ void SequenceRegistration::forget()
 {
   target_from_rest_ = RigidTransform::Identity();
   believed_.reset();
+  unbelieved_ = 0;
 }
 
 bool SequenceRegistration::followsFromBelieved(const RigidTransform& start, std::int64_t stamp_ns) const
@@ -45,8 +46,11 @@ RegistrationResult SequenceRegistration::run(RegistrationRequest request, std::o
   {
     throw std::logic_error("SequenceRegistration::run without a registration");
   }
-  request.target_from_rest = target_from_rest_;
   request.start_verified = stamp_ns && !unverified && followsFromBelieved(request.room_from_patient, *stamp_ns);
+  // A rest that is not where it was, or never was there, lets the right pose be doubted again and again. Two tries
+  // each, as who asks may have another start every other time.
+  const bool as_in_ct = !request.start_verified && (unbelieved_ % 4 == 1 || unbelieved_ % 4 == 2);
+  request.target_from_rest = as_in_ct ? RigidTransform::Identity() : target_from_rest_;
   if (request.start_verified)
   {
     for (RegistrationView& view : request.views)
@@ -58,12 +62,17 @@ RegistrationResult SequenceRegistration::run(RegistrationRequest request, std::o
   RegistrationResult result = registration_->run(request);
   if (stamp_ns && result.status == RegistrationStatus::SUCCESS)
   {
+    unbelieved_ = 0;
     target_from_rest_ = result.target_from_rest;
     believed_ = BelievedPose{ result.room_from_patient, *stamp_ns, {} };
     for (std::size_t v = 0; v < request.views.size(); ++v)
     {
       believed_->saturations[request.views[v].geometry.name()] = result.views[v].saturation;
     }
+  }
+  else if (stamp_ns && !request.start_verified && result.status == RegistrationStatus::UNRELIABLE)
+  {
+    ++unbelieved_;
   }
   return result;
 }

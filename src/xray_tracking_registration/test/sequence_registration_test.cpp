@@ -62,6 +62,16 @@ protected:
     return result;
   }
 
+  /// A run that is cancelled before its first step says where it would have begun.
+  RigidTransform restAtStart(std::int64_t stamp_ns, bool unverified)
+  {
+    RegistrationRequest request = expose({ 0, 0, 0 }, { 0, 0, 0 });
+    request.progress = [](const RegistrationProgress&) { return false; };
+    const RegistrationResult result = sequence_.run(request, stamp_ns, unverified);
+    EXPECT_EQ(RegistrationStatus::CANCELLED, result.status);
+    return result.target_from_rest;
+  }
+
   Eigen::Vector3d rest_{ 1.5, -1.0, 2.0 };  ///< of the rest's motion against the target's [mm]
   std::mt19937 random_{ 1 };
   SequenceRegistration sequence_;
@@ -82,15 +92,7 @@ TEST_F(SequenceRegistrationTest, aStartIsVerifiedByABelievedPoseShortlyBefore)
 
 TEST_F(SequenceRegistrationTest, theRestIsLookedForWhereItWas)
 {
-  // A run that is cancelled before its first step says where it would have begun.
-  const auto rest_at_start = [this](std::int64_t stamp_ns)
-  {
-    RegistrationRequest request = expose({ 0, 0, 0 }, { 0, 0, 0 });
-    request.progress = [](const RegistrationProgress&) { return false; };
-    const RegistrationResult result = sequence_.run(request, stamp_ns, false);
-    EXPECT_EQ(RegistrationStatus::CANCELLED, result.status);
-    return result.target_from_rest;
-  };
+  const auto rest_at_start = [this](std::int64_t stamp_ns) { return restAtStart(stamp_ns, false); };
   EXPECT_TRUE(rest_at_start(9 * kSecond).isApprox(RigidTransform::Identity()));
   const RigidTransform found = runAt(10 * kSecond, { 0, 0, 0 }, { 0.5, 0, 0 }).target_from_rest;
   EXPECT_GT(found.translation().norm(), 1.0) << "of the rest's motion by 2.7 mm";
@@ -98,6 +100,25 @@ TEST_F(SequenceRegistrationTest, theRestIsLookedForWhereItWas)
   EXPECT_TRUE(rest_at_start(12 * kSecond).isApprox(found));
   sequence_.forget();
   EXPECT_TRUE(rest_at_start(13 * kSecond).isApprox(RigidTransform::Identity()));
+}
+
+TEST_F(SequenceRegistrationTest, theRestIsLookedForAsInTheCtIfWhatIsFoundIsNotBelieved)
+{
+  const RigidTransform found = runAt(10 * kSecond, { 0, 0, 0 }, { 0.5, 0, 0 }).target_from_rest;
+  const auto doubt = [this](std::int64_t stamp_ns)
+  {
+    const RegistrationResult result = sequence_.run(expose({ 0, 0, 0 }, { 0, 60, 0 }), stamp_ns, true);
+    EXPECT_EQ(RegistrationStatus::UNRELIABLE, result.status) << result.reason;
+  };
+  EXPECT_TRUE(restAtStart(11 * kSecond, true).isApprox(found));
+  for (const bool as_in_ct : { true, true, false, false, true })
+  {
+    doubt(12 * kSecond);
+    EXPECT_TRUE(restAtStart(13 * kSecond, true).isApprox(as_in_ct ? RigidTransform::Identity() : found));
+    EXPECT_TRUE(restAtStart(13 * kSecond, false).isApprox(found)) << "a verified start is of the pose that had it";
+  }
+  const RigidTransform again = runAt(14 * kSecond, { 0, 0, 0 }, { 0.5, 0, 0 }, true).target_from_rest;
+  EXPECT_TRUE(restAtStart(15 * kSecond, true).isApprox(again));
 }
 
 TEST_F(SequenceRegistrationTest, theViewsSaturateAsTheyDid)

@@ -50,6 +50,7 @@ private:
   Eigen::Vector3d target_centre_;
   std::shared_ptr<const Registration> registration_;
   RigidTransform target_from_rest_ = RigidTransform::Identity();
+  int unbelieved_ = 0;                    ///< results in a row that were not, of starts that nothing verified
   std::optional<BelievedPose> believed_;  ///< of the last exposure that was registered with success
 };
 }  // namespace xray_tracking
