@@ -1,5 +1,7 @@
 #include "bag_recorder.h"
 
+#include <csignal>
+
 #include <QApplication>
 #include <QFile>
 #include <QRegularExpression>
@@ -99,6 +101,7 @@ TEST_F(BagRecorderTest, ABagThatIsThereIsNoFault)
 int main(int argc, char** argv)
 {
   testing::InitGoogleTest(&argc, argv);
+  std::signal(SIGINT, SIG_DFL);  // what a shell runs in the background ignores it, and whatever that starts
   const QCoreApplication application(argc, argv);
   return RUN_ALL_TESTS();
 }
