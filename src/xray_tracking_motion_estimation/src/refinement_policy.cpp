@@ -242,16 +242,17 @@ RefinementPolicy::Judgement RefinementPolicy::judge(const RefinementReply& reply
   }
   Judgement judgement{ RefinementVerdict::ACCEPTED, fault(reply), std::nullopt };
   bool outvoted = pending.where_it_was;
-  ++unbelieved_;
   if (!judgement.reason.empty())
   {
     judgement.verdict = RefinementVerdict::REFUSED;
     chain_.reset();
+    ++unbelieved_;
   }
   else if (judgement.reason = viewsApart(reply); !judgement.reason.empty())
   {
     judgement.verdict = RefinementVerdict::CONTRADICTS;
     chain_.reset();
+    ++unbelieved_;
   }
   else
   {
@@ -289,9 +290,9 @@ RefinementPolicy::Judgement RefinementPolicy::judge(const RefinementReply& reply
     {
       unbelieved_ = 0;
     }
-    else if (judgement.verdict == RefinementVerdict::UNCONFIRMED)
+    else if (judgement.verdict == RefinementVerdict::REFUSED)
     {
-      --unbelieved_;  // the next one starts there, too
+      ++unbelieved_;  // unconfirmed, the next one starts there, too
     }
   }
   if (judgement.verdict != RefinementVerdict::ACCEPTED)
