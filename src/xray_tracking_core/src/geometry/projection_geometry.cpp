@@ -67,19 +67,19 @@ std::string turned(const DetectorDescription& description)
        << " (import_geometry does as much for columns). Or are source and panel swapped?";
   return text.str();
 }
+}  // namespace
 
-bool isTopicName(const std::string& name)
+bool isDetectorName(const std::string& name)
 {
   return !name.empty() && std::isalpha(static_cast<unsigned char>(name.front())) &&
          std::all_of(name.begin(), name.end(),
                      [](unsigned char c) { return c < 128 && (std::isalnum(c) || c == '_'); });
 }
-}  // namespace
 
 ProjectionGeometry ProjectionGeometry::fromDescription(const DetectorDescription& description)
 {
   const std::string& name = description.name;
-  if (!isTopicName(name))
+  if (!isDetectorName(name))
   {
     reject(name, "name", name, "a letter followed by letters, digits and underscores");
   }

@@ -2,12 +2,13 @@
 // once. Loaders of their own (nodelet load) take ten seconds to see that their manager has died, and wait for ever if
 // it dies before their bond to it has formed.
 #include <algorithm>
-#include <regex>
 #include <string>
 #include <vector>
 
 #include <nodelet/loader.h>
 #include <ros/ros.h>
+
+#include "xray_tracking_core/geometry/projection_geometry.h"
 
 int main(int argc, char** argv)
 {
@@ -21,9 +22,7 @@ int main(int argc, char** argv)
     return 1;
   }
   // Of others ROS throws, or looks for the images in another namespace.
-  const auto wrong = std::find_if(arguments.begin() + 1, arguments.end(),
-                                  [](const std::string& name)
-                                  { return !std::regex_match(name, std::regex("[A-Za-z][A-Za-z0-9_]*")); });
+  const auto wrong = std::find_if_not(arguments.begin() + 1, arguments.end(), xray_tracking::isDetectorName);
   if (wrong != arguments.end())
   {
     ROS_FATAL(

@@ -20,7 +20,7 @@ struct Ray
 /// sequence file's `detectors` entry.
 struct DetectorDescription
 {
-  std::string name;             ///< for messages and topic namespaces: [A-Za-z][A-Za-z0-9_]*
+  std::string name;             ///< for messages and topic namespaces, see isDetectorName()
   Eigen::Vector2i image_size;   ///< columns, rows [px]
   Eigen::Vector2d pixel_pitch;  ///< along columns, along rows [mm]
   Eigen::Vector3d source;       ///< focal spot, room [mm]
@@ -29,6 +29,9 @@ struct DetectorDescription
   Eigen::Vector3d y_direction;  ///< along growing rows, room, unit
 };
 
+/// Whether it is a letter followed by letters, digits and underscores, of ASCII all.
+bool isDetectorName(const std::string& name);
+
 /// The perspective projection of one X-ray source onto one flat panel, which may be off-centre and tilted.
 ///
 /// Optical frame (REP-104): origin at the focal spot, x along columns, y along rows, z = x cross y, from the source to
@@ -36,8 +39,8 @@ struct DetectorDescription
 class ProjectionGeometry
 {
 public:
-  /// @throws std::invalid_argument naming the detector, the field, its value and what was expected: the name a letter
-  /// followed by letters, digits and underscores; image sizes 1 to 16384; pitches positive; directions of unit norm and
+  /// @throws std::invalid_argument naming the detector, the field, its value and what was expected: a name by
+  /// isDetectorName(); image sizes 1 to 16384; pitches positive; directions of unit norm and
   /// at right angles to 1e-4 (then re-orthonormalised); the source off the panel on its negative z side by at least 1
   /// mm; everything finite.
   static ProjectionGeometry fromDescription(const DetectorDescription& description);
