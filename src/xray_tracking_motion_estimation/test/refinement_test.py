@@ -93,6 +93,7 @@ class RefinementTest(LiveTestCase):
         self.graph.wait_for_wall(lambda: len(stand_in.requests) > asked, 'request')
         request = stand_in.requests[-1]
         self.assertEqual(request.stamp, answer.header.stamp)
+        self.assertEqual(request.without, ['detector_c'])
         np.testing.assert_allclose([request.seed.position.x, request.seed.position.y, request.seed.position.z],
                                    [pose.position.x, pose.position.y, pose.position.z], atol=1e-9)
         # While the registration works, exposures are answered as before.

@@ -9,9 +9,11 @@ import threading
 
 import numpy as np
 import roslib.packages
+import rosnode
 import rospy
 import rostest
 from diagnostic_msgs.msg import DiagnosticArray
+from std_msgs.msg import String
 
 sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
 from registration_test_case import (DETECTORS, EXPOSURES, RegistrationTestCase, Sender, TIMEOUT,  # noqa: E402
@@ -22,6 +24,13 @@ from xray_tracking_msgs.srv import LoadVolume, RefinePose  # noqa: E402
 
 # Largest distance of the target box's corners; how near a registration comes, is judged by the library's tests.
 LIMIT_MM = 0.5
+
+
+def alive(node):
+    try:
+        return rosnode.rosnode_ping(node, max_count=1)
+    except rosnode.ROSNodeIOException:
+        return False
 
 
 class Answers:
@@ -151,6 +160,69 @@ class SequencesTest(RegistrationTestCase):
         answer = rospy.ServiceProxy("/bad_parameter/registration/load_volume", LoadVolume)("/nowhere")
         self.assertFalse(answer.success)
         self.assertIn("guessing", answer.message)
+
+    def test_successor_loads_what_was_asked_for(self):
+        """A node that has died is followed by one with the same CT, or by one that says that it does not know which."""
+        node = roslib.packages.find_node("xray_tracking_registration", "registration_node")[0]
+        refine = rospy.ServiceProxy("/mortal/registration/refine_pose", RefinePose)
+        load = rospy.ServiceProxy("/mortal/registration/load_volume", LoadVolume)
+        volumes = []
+        rospy.Subscriber("/mortal/registration/volume", String, lambda message: volumes.append(message.data))
+
+        def why_not():
+            return refine(RefinementRequest()).result.reason
+
+        with tempfile.TemporaryDirectory() as folder:
+            ct = small_volume(folder)
+            kept = os.path.join(folder, "kept")
+            rospy.set_param("/mortal/registration", {"setup_file": rospy.get_param("/setup_file"), "source": "ct",
+                                                     "data_folder": folder, "keep_for_restart": True})
+
+            def start():
+                process = subprocess.Popen([node, "__ns:=/mortal"], env={**os.environ, "ROS_HOME": kept})
+                refine.wait_for_service(TIMEOUT)
+                return process
+
+            def end(process):
+                process.kill()
+                process.wait()
+                # roscpp does not see within a call that who answers has died.
+                self.wait_for(lambda: not alive("/mortal/registration"), "the master's knowing that it is gone")
+
+            process = start()
+            try:
+                self.wait_for(lambda: "ct is absent" in why_not(), "the setup's CT: none")
+                end(process)
+                # Nobody has asked for another one yet.
+                process = start()
+                self.wait_for(lambda: "ct is absent" in why_not(), "the setup's CT again: none")
+                self.assertEqual(load(os.path.basename(ct)).message, "loaded")
+                self.wait_for(lambda: volumes == [ct], "the CT")
+                end(process)
+                process = start()
+                self.wait_for(lambda: volumes == [ct, ct], "the same CT")
+                end(process)
+                files = [os.path.join(at, name) for at, _, names in os.walk(kept) for name in names]
+                self.assertEqual(len(files), 1)
+                os.truncate(files[0], 3)
+                process = start()
+                self.wait_for(lambda: "which CT it was told to load is not known" in why_not(), "what is wrong")
+                end(process)
+                # Another launch: maybe another patient.
+                rospy.delete_param("/mortal/registration/restart_token")
+                process = start()
+                self.wait_for(lambda: "ct is absent" in why_not(), "the setup's CT of a new launch: none")
+                self.assertEqual(volumes, [ct, ct])
+                # Where it cannot be kept who asks is told.
+                os.rmdir(os.path.dirname(files[0]))
+                with open(os.path.dirname(files[0]), "w", encoding="utf-8"):
+                    pass
+                answer = load(ct)
+                self.assertTrue(answer.success)
+                self.assertIn("not kept for when the node dies", answer.message)
+            finally:
+                process.kill()
+                process.wait()
 
     def test_mask_from_a_label_map(self):
         with tempfile.TemporaryDirectory() as folder:

@@ -162,9 +162,14 @@ def registration_garbage(rig, random):
 
 
 @fault("another patient's CT is loaded", RIGHT, seconds=(4.0, 6.0), dies=("registration",), recovery_s=40.0,
-       recovery="the right CT is loaded again (here: respawn)")
+       recovery="the right CT is loaded again (here: by a first node of this name)")
 def another_ct(rig, random):
     answer = rospy.ServiceProxy("/registration/load_volume", LoadVolume)(rig.other_ct)
     if not answer.success:
         raise RuntimeError(f"load_volume: {answer.message}")
-    return lambda: killed(rig, "registration"), os.path.basename(rig.other_ct)
+
+    def load_the_setups():
+        rospy.delete_param("/registration/restart_token")
+        killed(rig, "registration")
+
+    return load_the_setups, os.path.basename(rig.other_ct)

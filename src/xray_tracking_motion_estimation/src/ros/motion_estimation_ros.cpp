@@ -402,11 +402,15 @@ void MotionEstimationRos::ask(const RefinementRequest& request)
   message.request.stamp = timeFromNanoseconds(request.stamp);
   message.request.time_budget = parameters_.monitor.refinement.timeout;
   message.request.unverified = static_cast<std::uint8_t>(request.unverified);
-  for (std::size_t i = 0; i < request.without.size(); ++i)
+  // Those of the setup that are not this node's, too: nobody says that they send.
+  for (const ProjectionGeometry& detector : setup_.detectors)
   {
-    if (request.without[i])
+    const auto view =
+        std::find_if(views_.begin(), views_.end(), [&](const View& own) { return own.name == detector.name(); });
+    const auto i = static_cast<std::size_t>(view - views_.begin());
+    if (i == views_.size() || (i < request.without.size() && request.without[i]))
     {
-      message.request.without.push_back(views_[i].name);
+      message.request.without.push_back(detector.name());
     }
   }
   if (registration_->call(message))

@@ -26,7 +26,8 @@ struct RegistrationParameters
   double search_max_translation_mm = kUsualSearch;
   double search_max_rotation_rad = kUsualSearchRotation;
   double time_budget_s = 5.0;
-  int queue_size = 50;  ///< exposures
+  bool keep_for_restart = false;  ///< on disk, which CT a node in the place of this one loads
+  int queue_size = 50;            ///< exposures
 };
 
 /// Reads and checks all; names that are none are warned of.

@@ -18,6 +18,7 @@
 #include <xray_tracking_msgs/LoadVolume.h>
 #include <xray_tracking_msgs/RefinedPose.h>
 
+#include "xray_tracking_conversions/restart_file.h"
 #include "xray_tracking_core/sequence/treatment_setup.h"
 #include "xray_tracking_registration/exposure_intake.h"
 #include "xray_tracking_registration/refinement_server.h"
@@ -51,8 +52,12 @@ private:
   /// Loads a CT, or the phantom where the path is empty, and makes it the one in use. @return why it could not; empty
   /// if it could
   std::string load(const std::string& ct_path);
+  /// The same of the first one: the setup's, or what the node that this one takes the place of was told to load.
+  std::string loadFirst();
   /// The same of a path that somebody asks for: below the data folder alone.
   std::string loadAsked(const std::string& ct_path);
+  /// Says why there is none, where none is in use. @return that
+  std::string notLoaded(const std::string& fault);
   BodyModel readBodies(const std::string& ct_path) const;
   std::shared_ptr<const Registration> makeRegistration(const std::string& ct_path) const;
 
@@ -79,6 +84,8 @@ private:
   RegistrationParameters parameters_;
   TreatmentSetup setup_;
   std::string configuration_fault_;  ///< empty if the node works
+  /// None: nothing is kept. There is no file before somebody has asked for a CT.
+  std::optional<RestartFile> restart_file_;
 
   // Of who works on a request alone.
   std::optional<SequenceRegistration> sequence_;

@@ -72,6 +72,7 @@ RegistrationParameters readRegistrationParameters(ParameterReader reader)
                 "search/max_rotation", parameters.search_max_rotation_rad, "more than 0, at most 0.8 rad");
   read(reader, "time_budget", parameters.time_budget_s);
   requireOption(parameters.time_budget_s > 0.0, "time_budget", parameters.time_budget_s, "more than 0 s");
+  read(reader, "keep_for_restart", parameters.keep_for_restart);
   read(reader, "queue_size", parameters.queue_size);
   requireInRange("queue_size", parameters.queue_size, 1, 1000);
   reader.warnOfUnread();

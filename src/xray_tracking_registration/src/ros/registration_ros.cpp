@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <chrono>
+#include <filesystem>
 #include <stdexcept>
 #include <utility>
 
@@ -136,7 +137,7 @@ void RegistrationRos::start()
     return;
   }
   sequence_.emplace(setup_.targetCentre());
-  const std::string fault = load(parameters_.source == "ct" ? setup_.ct_path : "");
+  const std::string fault = loadFirst();
   ROS_ERROR_STREAM_COND(
       !fault.empty(),
       "no registration: " << fault << "; load a CT (load_volume), or mend the setup file and start again");
@@ -150,37 +151,61 @@ std::string RegistrationRos::load(const std::string& ct_path)
 {
   const std::string what = ct_path.empty() ? "the CT of " + parameters_.source : ct_path;
   std::shared_ptr<const Registration> registration;
-  std::string fault;
   try
   {
     registration = makeRegistration(ct_path);
   }
   catch (const std::exception& error)
   {
-    fault = error.what();
+    return notLoaded(error.what());
   }
   {
     const std::lock_guard<std::mutex> lock(mutex_);
     loading_ = false;
-    if (registration)
-    {
-      registration_ = registration;
-      volume_state_ = what;
-      last_result_.reset();  // says nothing of this one
-    }
-    else if (!registration_)
-    {
-      volume_state_ = "no volume: " + fault;
-    }
+    registration_ = registration;
+    volume_state_ = what;
+    last_result_.reset();  // says nothing of this one
   }
-  if (registration)
+  std_msgs::String volume;
+  volume.data = ct_path;
+  volume_publisher_.publish(volume);
+  ROS_INFO_STREAM("ready to register " << what);
+  return "";
+}
+
+std::string RegistrationRos::notLoaded(const std::string& fault)
+{
+  const std::lock_guard<std::mutex> lock(mutex_);
+  loading_ = false;
+  if (!registration_)
   {
-    std_msgs::String volume;
-    volume.data = ct_path;
-    volume_publisher_.publish(volume);
-    ROS_INFO_STREAM("ready to register " << what);
+    volume_state_ = "no volume: " + fault;
   }
   return fault;
+}
+
+std::string RegistrationRos::loadFirst()
+{
+  if (parameters_.keep_for_restart)
+  {
+    restart_file_.emplace(pnh_, "volume 1");
+  }
+  if (!restart_file_ || !restart_file_->succeeds() || !std::filesystem::exists(restart_file_->path()))
+  {
+    return load(parameters_.source == "ct" ? setup_.ct_path : "");
+  }
+  std::string asked;
+  try
+  {
+    asked = restart_file_->read();
+  }
+  catch (const std::exception& error)
+  {
+    return notLoaded(std::string("the node has died, and which CT it was told to load is not known: ") + error.what());
+  }
+  ROS_WARN_STREAM(pnh_.getNamespace() << " has died and was started again; it loads the CT that it was told to: "
+                                      << asked);
+  return loadAsked(asked);
 }
 
 BodyModel RegistrationRos::readBodies(const std::string& ct_path) const
@@ -362,19 +387,15 @@ void RegistrationRos::publishRefined(std::int64_t stamp_ns, const RefinementResu
 
 std::string RegistrationRos::loadAsked(const std::string& ct_path)
 {
-  std::string path;
   try
   {
-    path = ctBelow(ct_path, parameters_.data_folder.empty() ? usualDataFolder(setup_, parameters_.setup_file)
-                                                            : parameters_.data_folder);
+    return load(ctBelow(ct_path, parameters_.data_folder.empty() ? usualDataFolder(setup_, parameters_.setup_file)
+                                                                 : parameters_.data_folder));
   }
   catch (const std::exception& error)
   {
-    const std::lock_guard<std::mutex> lock(mutex_);
-    loading_ = false;
-    return error.what();
+    return notLoaded(error.what());
   }
-  return load(path);
 }
 
 bool RegistrationRos::loadVolumeCb(xray_tracking_msgs::LoadVolume::Request& request,
@@ -402,9 +423,22 @@ bool RegistrationRos::loadVolumeCb(xray_tracking_msgs::LoadVolume::Request& requ
   }
   response.message = loadAsked(request.path);
   response.success = response.message.empty();
-  if (response.success)
+  if (!response.success)
   {
-    response.message = "loaded";
+    return true;
+  }
+  response.message = "loaded";
+  try
+  {
+    if (restart_file_)
+    {
+      restart_file_->write(request.path);
+    }
+  }
+  catch (const std::exception& error)
+  {
+    response.message += "; not kept for when the node dies: " + std::string(error.what());
+    ROS_WARN_STREAM(response.message << "; load it again then");
   }
   return true;
 }
