@@ -33,6 +33,7 @@ using rviz::StatusProperty;
 
 constexpr double kOldPose = 2.0;        ///< from when on a pose is told as old [s]
 constexpr double kAlignmentLife = 1.5;  ///< of a pose that is being tried out by hand [s]
+constexpr float kFaded = 0.4F;          ///< of the opacity, where no pose is known now
 constexpr double kEllipsoid = 12.0;     ///< semi-axis that an ellipsoid has at least [mm]
 const Ogre::ColourValue kGhost(0.25F, 0.95F, 0.55F);
 
@@ -199,9 +200,10 @@ void AnatomyDisplay::updateLook()
     return;  // before onInitialize()
   }
   const auto truth_opacity = truth_opacity_->getFloat();
-  bone_surface_->setColour(bone_colour_->getOgreColor(), bone_opacity_->getFloat());
+  const float fading = faded_ ? kFaded : 1.0F;
+  bone_surface_->setColour(bone_colour_->getOgreColor(), fading * bone_opacity_->getFloat());
   bone_surface_->setVisible(bones_->getBool());
-  target_surface_->setColour(target_colour_->getOgreColor(), target_opacity_->getFloat());
+  target_surface_->setColour(target_colour_->getOgreColor(), fading * target_opacity_->getFloat());
   target_surface_->setVisible(target_->getBool());
   ghost_->setColour(kGhost, std::min(truth_opacity, 0.99F));
   for (std::size_t i = 0; i < slices_.size(); ++i)
@@ -329,6 +331,7 @@ void AnatomyDisplay::placePatient()
   {
     if (const std::optional<RigidTransform> tried = rigidOf(alignment_->pose))
     {
+      fade(false);
       place(patient_node_, *tried);
       setStatusStd(StatusProperty::Warn, "Pose", "as it is being aligned by hand, not the patient's");
       return;
@@ -336,6 +339,8 @@ void AnatomyDisplay::placePatient()
   }
   // The pose itself and not the last transform of tf, which does not say how old it is.
   const std::optional<RigidTransform> pose = pose_ ? rigidOf(pose_->pose.pose) : std::nullopt;
+  const bool old = age(pose_arrival_) > kOldPose;
+  fade(!pose || old);
   place(patient_node_, pose ? *pose : setup_->room_from_patient);
   if (pose_ && !pose)
   {
@@ -346,13 +351,22 @@ void AnatomyDisplay::placePatient()
   {
     setStatusStd(StatusProperty::Warn, "Pose", "nothing on patient_pose so far: shown at the setup's initial pose");
   }
-  else if (age(pose_arrival_) > kOldPose)
+  else if (old)
   {
     setStatus(StatusProperty::Warn, "Pose", "no pose since " + QString::number(age(pose_arrival_), 'f', 0) + " s");
   }
   else
   {
     setStatusStd(StatusProperty::Ok, "Pose", "as on patient_pose");
+  }
+}
+
+void AnatomyDisplay::fade(bool faded)
+{
+  if (faded != faded_)
+  {
+    faded_ = faded;
+    updateLook();
   }
 }
 

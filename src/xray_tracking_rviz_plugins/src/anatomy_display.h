@@ -60,6 +60,8 @@ private:
   void followRoom();
   void take(const Anatomy& anatomy);
   void placePatient();
+  /// Where the patient is not as it was measured just now, it is seen through.
+  void fade(bool faded);
   void placeGhost();
   void placeEllipsoid();
   /// Room to the fixed frame. @return false, with a status, if that is not known
@@ -89,6 +91,7 @@ private:
   std::optional<std::string> volume_;  ///< path of the CT that the registration has loaded; empty: the phantom
   std::string shown_;                  ///< what the anatomy is of
   bool wanted_ = false;                ///< anatomy has to be made of the setup
+  bool faded_ = true;
   float since_room_ = 1.0F;
 
   ros::Subscriber pose_subscriber_, truth_subscriber_, alignment_subscriber_, volume_subscriber_;

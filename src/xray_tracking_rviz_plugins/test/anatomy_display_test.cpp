@@ -1,6 +1,7 @@
 // The phantom's bone on the screen, against rays through its closed-form solids.
 #include "rviz_window.h"
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 
@@ -195,6 +196,25 @@ TEST_F(AnatomyDisplayTest, TargetIsColouredAndFollowsThePose)
   const double below = middle(-20.0);
   const double above = middle(20.0);
   EXPECT_GT(below - above, 20.0);  // up by 40 mm
+
+  const auto brightest = [&]
+  {
+    const QImage image = picture();
+    int most = 0;
+    for (int y = 0; y < image.height(); y += 2)
+    {
+      for (int x = 0; x < image.width(); x += 2)
+      {
+        most = std::max(most, image.pixelColor(x, y).red());
+      }
+    }
+    return most;
+  };
+  middle(0.0);
+  const int known = brightest();
+  EXPECT_TRUE(spinUntil([&] { return brightest() < 0.7 * known; }, 10.0)) << "where no pose comes any more it is faded";
+  middle(0.0);
+  EXPECT_TRUE(spinUntil([&] { return brightest() == known; }, 5.0));
 }
 
 TEST_F(AnatomyDisplayTest, IsOfTheCtThatTheRegistrationHasLoaded)
