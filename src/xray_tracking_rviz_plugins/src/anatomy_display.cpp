@@ -33,7 +33,7 @@ using rviz::StatusProperty;
 
 constexpr double kOldPose = 2.0;        ///< from when on a pose is told as old [s]
 constexpr double kAlignmentLife = 1.5;  ///< of a pose that is being tried out by hand [s]
-constexpr float kFaded = 0.4F;          ///< of the opacity, where no pose is known now
+constexpr float kFaded = 0.25F;         ///< of the opacity, where no pose is known now
 constexpr double kEllipsoid = 12.0;     ///< semi-axis that an ellipsoid has at least [mm]
 const Ogre::ColourValue kGhost(0.25F, 0.95F, 0.55F);
 

@@ -1,7 +1,6 @@
 // The phantom's bone on the screen, against rays through its closed-form solids.
 #include "rviz_window.h"
 
-#include <algorithm>
 #include <cmath>
 #include <limits>
 
@@ -197,24 +196,28 @@ TEST_F(AnatomyDisplayTest, TargetIsColouredAndFollowsThePose)
   const double above = middle(20.0);
   EXPECT_GT(below - above, 20.0);  // up by 40 mm
 
-  const auto brightest = [&]
+  const auto brightness = [&]
   {
     const QImage image = picture();
-    int most = 0;
+    double sum = 0.0;
     for (int y = 0; y < image.height(); y += 2)
     {
       for (int x = 0; x < image.width(); x += 2)
       {
-        most = std::max(most, image.pixelColor(x, y).red());
+        const QColor colour = image.pixelColor(x, y);
+        sum += isBackground(colour) ? 0.0 : colour.red();
       }
     }
-    return most;
+    return sum;
   };
   middle(0.0);
-  const int known = brightest();
-  EXPECT_TRUE(spinUntil([&] { return brightest() < 0.7 * known; }, 10.0)) << "where no pose comes any more it is faded";
+  const double known = brightness();
+  double seen = known;
+  // Half of it and more where several surfaces lie behind each other.
+  EXPECT_TRUE(spinUntil([&] { return (seen = brightness()) < 0.9 * known; }, 10.0))
+      << "where no pose comes any more it is faded: " << seen << " of " << known;
   middle(0.0);
-  EXPECT_TRUE(spinUntil([&] { return brightest() == known; }, 5.0));
+  EXPECT_TRUE(spinUntil([&] { return brightness() > 0.99 * known; }, 5.0));
 }
 
 TEST_F(AnatomyDisplayTest, IsOfTheCtThatTheRegistrationHasLoaded)
