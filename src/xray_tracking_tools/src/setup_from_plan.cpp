@@ -68,8 +68,9 @@ int setupFromPlan(const po::variables_map& arguments)
   const CtFrame ct = readCtFrame(setup.ct_path, setup.ct_choice.series);
   structure.requireOn(ct);
   requireOn(plan, structure, ct);
-  const PlanBeam& beam =
-      chosenBeam(plan, arguments.count("beam") != 0 ? std::make_optional(arguments["beam"].as<int>()) : std::nullopt);
+  const std::optional<int> number =
+      arguments.count("beam") != 0 ? std::make_optional(arguments["beam"].as<int>()) : std::nullopt;
+  const PlanBeam& beam = chosenBeam(plan, number);
   setup.target_box = structure.box();
   setup.room_from_patient = roomFromPatient(beam);
   requireSeen(setup, detectors_path);
