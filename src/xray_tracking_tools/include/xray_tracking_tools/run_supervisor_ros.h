@@ -24,8 +24,8 @@ namespace xray_tracking
 /// ~start_service, ~stall_timeout.
 /// Subscribes: patient_motion, <detector>/camera_info, <detector>/tracked_region.
 /// Calls: ~start_service (std_srvs/Trigger of a simulator, or std_srvs/SetBool of rosbag play's pause_playback).
-/// Its time is the monotonic clock: it has to see a /clock that stands still, and neither that nor a computer whose clock
-/// is set is the end of a run.
+/// Its time is the monotonic clock: it has to see a /clock that stands still, and neither that nor a computer whose
+/// clock is set is the end of a run.
 class RunSupervisorRos
 {
 public:
