@@ -79,6 +79,11 @@ class ConfigurationTest(unittest.TestCase):
         for source, method in (("ct", "tracking_and_registration"), ("phantom", "tracking")):
             params = load(path, REQUIRED_ARGUMENTS[path.name] + [f"source:={source}"]).params
             self.assertEqual(params["/motion_estimation/method"].value, method)
+        # What is not simulated is no phantom.
+        path = path.with_name("treatment_room.launch")
+        for simulator, source in (("true", "phantom"), ("false", "ct")):
+            params = load(path, [f"simulator:={simulator}", "registration:=true"]).params
+            self.assertEqual(params["/registration/source"].value, source)
 
     def test_who_verifies_the_pose(self):
         path = next(path for path in files("launch", "*.launch") if path.name == "tracking.launch")

@@ -21,6 +21,7 @@
 #include "alignment_link.h"
 #include "alignment_marker.h"
 #include "look.h"
+#include "seen.h"
 #include "xray_tracking_conversions/conversions.h"
 
 namespace xray_tracking
@@ -208,12 +209,7 @@ void AlignmentPanel::begin()
   }
   const std::optional<RigidTransform> pose = link_->patientPose();
   alignment_.emplace(pose.value_or(room_.setup->room_from_patient), room_.setup->targetCentre());
-  marker_ = std::make_unique<AlignmentMarker>(vis_manager_,
-                                              [this](const Eigen::Vector3d& where, const Eigen::Quaterniond& turn)
-                                              {
-                                                alignment_->place(kMillimetresPerMetre * where, turn);
-                                                moved(true);
-                                              });
+  makeMarker();
   rviz::ToolManager* tools = vis_manager_->getToolManager();
   tool_before_ = tools->getCurrentTool();
   for (int i = 0; i < tools->numTools(); ++i)
@@ -232,6 +228,16 @@ void AlignmentPanel::begin()
       look::kQuiet);
   setFocus();
   moved(false);
+}
+
+void AlignmentPanel::makeMarker()
+{
+  marker_ = std::make_unique<AlignmentMarker>(vis_manager_,
+                                              [this](const Eigen::Vector3d& where, const Eigen::Quaterniond& turn)
+                                              {
+                                                alignment_->place(kMillimetresPerMetre * where, turn);
+                                                moved(true);
+                                              });
 }
 
 void AlignmentPanel::end(const QString& message, const QColor& colour)
@@ -271,6 +277,16 @@ void AlignmentPanel::tick()
   if (!alignment_)
   {
     return;
+  }
+  if (!isSeen(*this))
+  {
+    marker_.reset();
+    return;
+  }
+  if (!marker_)
+  {
+    makeMarker();
+    moved(false);
   }
   marker_->update(elapsed);
   if (now - last_shown_ >= kShowAgain)
@@ -387,7 +403,7 @@ bool AlignmentPanel::handleKey(const QKeyEvent& event)
   };
   const auto* key =
       std::find_if(std::begin(kKeys), std::end(kKeys), [&](const Key& k) { return k.key == event.key(); });
-  if (!alignment_ || key == std::end(kKeys))
+  if (!marker_ || key == std::end(kKeys))
   {
     return false;
   }

@@ -29,7 +29,7 @@ class AlignmentMarker;
 /// The CT is laid over the radiographs by hand, from the patient's pose on, or, where none is known, from the setup's
 /// initial pose: by arrows and rings in the scene, by buttons and by keys. Then motion estimation is asked to have the
 /// registration go on from there, and to take the patient to be where that finds it. Until then, and if it is cancelled
-/// or refused, nothing but the pictures changes.
+/// or refused, nothing but the pictures changes, and those only while the panel is seen that says so.
 class AlignmentPanel : public rviz::Panel
 {
   Q_OBJECT
@@ -50,6 +50,7 @@ private:
   QWidget* makeSteps();
   QWidget* makeAxes();
   void begin();
+  void makeMarker();
   void end(const QString& message, const QColor& colour);
   void tick();
   void showRoom();
@@ -71,9 +72,9 @@ private:
   std::unique_ptr<RoomWatch> watch_;
   Room room_;
   std::unique_ptr<AlignmentLink> link_;
-  std::optional<Alignment> alignment_;   ///< while it is done
-  std::optional<Alignment> asked_from_;  ///< where it was when the registration was asked last
-  std::unique_ptr<AlignmentMarker> marker_;
+  std::optional<Alignment> alignment_;       ///< while it is done
+  std::optional<Alignment> asked_from_;      ///< where it was when the registration was asked last
+  std::unique_ptr<AlignmentMarker> marker_;  ///< while, besides, the panel is seen: nothing moves without it
   rviz::Tool* tool_before_ = nullptr;
   bool lasting_message_ = false;  ///< of how the last alignment has ended
   std::chrono::steady_clock::time_point last_tick_, last_shown_;

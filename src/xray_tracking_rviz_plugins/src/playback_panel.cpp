@@ -1,5 +1,7 @@
 #include "playback_panel.h"
 
+#include <utility>
+
 #include <QHBoxLayout>
 #include <QLabel>
 #include <QPushButton>
@@ -52,10 +54,17 @@ PlaybackPanel::PlaybackPanel(QWidget* parent) : rviz::Panel(parent), timer_(new 
   layout->addWidget(step_);
   layout->addWidget(time_);
   layout->addWidget(note_, 1);
-  connect(play_, &QPushButton::clicked, this, [this] { pause(clock_.runs()); });
+  connect(play_, &QPushButton::clicked, this,
+          [this]
+          {
+            const std::lock_guard<std::mutex> lock(mutex_);
+            stepping_ = false;
+            pause(clock_.runs());
+          });
   connect(step_, &QPushButton::clicked, this,
           [this]
           {
+            const std::lock_guard<std::mutex> lock(mutex_);
             stepping_ = true;
             pause(false);
           });
@@ -82,7 +91,8 @@ void PlaybackPanel::onInitialize()
   const boost::function<void(const xray_tracking_msgs::PatientMotion::ConstPtr&)> decided =
       [this](const xray_tracking_msgs::PatientMotion::ConstPtr&)
   {
-    if (stepping_.exchange(false))
+    const std::lock_guard<std::mutex> lock(mutex_);
+    if (std::exchange(stepping_, false))
     {
       pause(true);
     }
@@ -102,6 +112,10 @@ void PlaybackPanel::connectTo(const QString& player)
       {
         const std::lock_guard<std::mutex> lock(mutex_);
         fault_ = !response ? why : response->success ? "" : response->message;
+        if (const std::optional<bool> next = std::exchange(asked_next_, std::nullopt))
+        {
+          pause(*next);
+        }
       });
 }
 
@@ -111,7 +125,7 @@ void PlaybackPanel::pause(bool on)
   request.data = static_cast<std::uint8_t>(on);
   if (!pauser_->call(request))
   {
-    const std::lock_guard<std::mutex> lock(mutex_);
+    asked_next_ = on;
     fault_ = "the player does not answer an earlier call";
   }
 }

@@ -1,8 +1,8 @@
 #pragma once
 
-#include <atomic>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <string>
 
 #include <ros/callback_queue.h>
@@ -52,6 +52,7 @@ protected:
 private:
   void connectTo(const QString& player);
   void tick();
+  /// Asks the player; what was asked last counts. Locked.
   void pause(bool on);
 
   ros::CallbackQueue queue_;
@@ -59,9 +60,10 @@ private:
   std::unique_ptr<ros::AsyncSpinner> spinner_;
   std::unique_ptr<ServiceCaller<std_srvs::SetBool>> pauser_;
   ros::Subscriber motion_subscriber_;
-  std::atomic<bool> stepping_{ false };
-  std::mutex mutex_;
-  std::string fault_;  ///< of the last call
+  std::mutex mutex_;  ///< of the next three, and so that a step's pause is asked for after its going on
+  bool stepping_ = false;
+  std::optional<bool> asked_next_;  ///< while an earlier call is under way
+  std::string fault_;               ///< of the last call
 
   QString player_ = "player";
   ClockRate clock_;

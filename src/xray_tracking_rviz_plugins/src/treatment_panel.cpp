@@ -16,6 +16,7 @@
 
 #include "bag_recorder.h"
 #include "look.h"
+#include "seen.h"
 #include "treatment_widgets.h"
 
 namespace xray_tracking
@@ -271,7 +272,7 @@ void TreatmentPanel::tick()
   if (steady_ticks_ >= kSteady)
   {
     // A modal dialog of whomever keeps the operator from the button.
-    link_->beat(isVisible() && QApplication::activeModalWidget() == nullptr);
+    link_->beat(isSeen(*this) && QApplication::activeModalWidget() == nullptr);
   }
   const TreatmentView view = link_->view();
   banner_->display(view.gate_view);

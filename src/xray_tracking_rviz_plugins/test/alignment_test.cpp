@@ -225,6 +225,48 @@ TEST_F(AlignmentTest, CancelledItLeavesEverythingAsItWas)
   EXPECT_TRUE(spinUntil([&] { return shown_ > 0; }));
 }
 
+TEST_F(AlignmentTest, NothingIsTriedOutWhileNobodySeesThePanel)
+{
+  auto* dock = qobject_cast<QDockWidget*>(panel_->parentWidget());
+  ASSERT_NE(dock, nullptr);
+  click(button("align"));
+  ASSERT_TRUE(spinUntil([&] { return tried_.has_value(); }));
+  const RigidTransform begun = *tried_;
+  press("Page_Up", 5);
+  const auto isAt = [&](double shift)
+  { return std::abs(tried_->translation().y() - begun.translation().y() - shift) < 1e-6; };
+  ASSERT_TRUE(spinUntil([&] { return isAt(5.0); }));
+  rviz::Panel* other = addPanel("rviz/Time");
+  ASSERT_NE(other, nullptr);
+  auto* front = qobject_cast<QDockWidget*>(other->parentWidget());
+  const std::pair<const char*, std::function<void(bool)>> ways[] = {
+    { "closed", [&](bool hide) { hide ? dock->close() : (dock->show(), true); } },
+    { "behind another tab",
+      [&](bool hide)
+      {
+        frame_->tabifyDockWidget(dock, front);
+        (hide ? front : dock)->raise();
+      } },
+  };
+  for (const auto& [way, hidden] : ways)
+  {
+    SCOPED_TRACE(way);
+    hidden(true);
+    spin(0.3);
+    shown_ = 0;
+    run("xdotool windowfocus " + std::to_string(frame_->winId()));
+    press("Page_Up", 2);
+    spin(0.7);
+    EXPECT_EQ(shown_, 0);
+    // It goes on where it was.
+    hidden(false);
+    EXPECT_TRUE(spinUntil([&] { return shown_ > 3; }));
+    EXPECT_TRUE(isAt(5.0)) << tried_->translation().transpose();
+  }
+  click(button("align"));
+  EXPECT_TRUE(spinUntil([&] { return message().contains("Cancelled"); }));
+}
+
 TEST_F(AlignmentTest, ArrowsAndRingsAreDraggedByWhatTheMouseMoves)
 {
   const Eigen::Vector3d centre(1.25, 15.25, 1.0);

@@ -10,6 +10,8 @@
 
 #include <QApplication>
 #include <QDialog>
+#include <QDockWidget>
+#include <QMainWindow>
 #include <QMessageBox>
 #include <QProcess>
 #include <QPushButton>
@@ -278,6 +280,26 @@ TEST_F(TreatmentFaultsTest, AHiddenPanelDoesNotSayThatTheOperatorIsThere)
   EXPECT_EQ(beats, 0);
   shown.panel.show();
   EXPECT_TRUE(spinUntil([&] { return beats > 3; }));
+
+  // Behind another tab.
+  QMainWindow window;
+  QDockWidget dock, front;
+  dock.setWidget(&shown.panel);
+  front.setWidget(new QWidget);
+  for (QDockWidget* one : { &dock, &front })
+  {
+    window.addDockWidget(Qt::RightDockWidgetArea, one);
+  }
+  window.tabifyDockWidget(&dock, &front);
+  window.show();
+  front.raise();
+  spin(0.3);
+  beats = 0;
+  spin(0.7);
+  EXPECT_EQ(beats, 0);
+  dock.raise();
+  EXPECT_TRUE(spinUntil([&] { return beats > 3; }));
+  shown.panel.setParent(nullptr);
 }
 
 /// The panel's own leave the button free; where another one does not, the panel does not say that the operator is

@@ -555,6 +555,49 @@ TEST_F(SimTimeTest, SaysThatThereIsNoClockAndPlaysOneExposureAfterTheOther)
   spin(0.3);
   EXPECT_EQ(paused.size(), 3U);  // one exposure a step
 }
+
+TEST_F(SimTimeTest, AStepEndsHoweverSoonItsExposureIsDecidedAndAlsoWhereOneIsBrokenOff)
+{
+  const rviz::Panel* playback = addPanel("xray_tracking_rviz_plugins/PlaybackPanel");
+  ASSERT_NE(playback, nullptr);
+  ros::NodeHandle nh;
+  ros::Publisher motions = nh.advertise<PatientMotion>("patient_motion", 10);
+  std::vector<bool> paused;
+  bool quick = true;
+  const boost::function<bool(std_srvs::SetBool::Request&, std_srvs::SetBool::Response&)> answer =
+      [&](std_srvs::SetBool::Request& request, std_srvs::SetBool::Response& response)
+  {
+    paused.push_back(request.data != 0U);
+    if (quick && !paused.back())
+    {
+      motions.publish(PatientMotion());
+      ros::WallDuration(0.3).sleep();  // what it answers comes later than what it has played
+    }
+    response.success = 1U;
+    return true;
+  };
+  const ros::ServiceServer player = nh.advertiseService("player/pause_playback", answer);
+  auto* button = playback->findChild<QPushButton*>("play");
+  auto* step = playback->findChild<QPushButton*>("step");
+  ASSERT_TRUE(button != nullptr && step != nullptr);
+  ASSERT_TRUE(spinUntil([&] { return motions.getNumSubscribers() > 0 && step->isEnabled(); }));
+  step->click();
+  EXPECT_TRUE(spinUntil([&] { return paused == std::vector<bool>({ false, true }); }, 3.0));
+  spin(0.3);
+
+  // Paused before its exposure comes, a step is over.
+  quick = false;
+  paused.clear();
+  step->click();
+  EXPECT_TRUE(play(1.0, [&] { return paused == std::vector<bool>{ false } && button->text() == "Pause"; }));
+  button->click();
+  EXPECT_TRUE(spinUntil([&] { return paused.size() == 2 && button->text() == "Play"; }));
+  button->click();
+  EXPECT_TRUE(spinUntil([&] { return paused == std::vector<bool>({ false, true, false }); }));
+  motions.publish(PatientMotion());
+  spin(0.5);
+  EXPECT_EQ(paused.size(), 3U);
+}
 }  // namespace
 }  // namespace xray_tracking
 

@@ -159,12 +159,12 @@ RunSupervisorRos::RunSupervisorRos(ros::NodeHandle nh, const ros::NodeHandle& pn
   {
     required_subscribers_[subscriber.getTopic()].push_back(ros::this_node::getName());
   }
-  timer_ = nh.createWallTimer(ros::WallDuration(0.1), [this](const ros::WallTimerEvent&) { tick(); });
+  timer_ = nh.createSteadyTimer(ros::WallDuration(0.1), [this](const ros::SteadyTimerEvent&) { tick(); });
 }
 
 int RunSupervisorRos::run()
 {
-  last_event_ = last_print_ = ros::WallTime::now();
+  last_event_ = last_print_ = ros::SteadyTime::now();
   // A thread of its own, as it waits for other processes, which may hang.
   std::thread starter([this] { startWhenConnected(); });
   ros::spin();
@@ -246,14 +246,14 @@ void RunSupervisorRos::motionCallback(const PatientMotion& message)
   {
     return;
   }
-  last_event_ = ros::WallTime::now();
+  last_event_ = ros::SteadyTime::now();
   printProgress(message);
 }
 
 void RunSupervisorRos::printProgress(const PatientMotion& message)
 {
   const std::size_t count = motions_.size();
-  const ros::WallTime now = ros::WallTime::now();
+  const ros::SteadyTime now = ros::SteadyTime::now();
   if ((now - last_print_).toSec() < 1.0 && count != 1 && count != exposures_)
   {
     return;
@@ -284,7 +284,7 @@ void RunSupervisorRos::printProgress(const PatientMotion& message)
 
 void RunSupervisorRos::tick()
 {
-  const ros::WallTime now = ros::WallTime::now();
+  const ros::SteadyTime now = ros::SteadyTime::now();
   if (started_ && !start_seen_)
   {
     start_seen_ = true;

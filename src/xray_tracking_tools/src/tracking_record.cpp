@@ -99,6 +99,12 @@ void readMessage(const rosbag::MessageInstance& instance, const std::string& top
       {
         throw std::invalid_argument("status is " + std::to_string(refined->result.status) + ", expected 0 to 7");
       }
+      // Of one that was not found when it was first asked about, what was said once it had come.
+      if (const auto earlier = record.refined_poses.find(stamp_ns);
+          earlier != record.refined_poses.end() && earlier->second.result.status == RefinementResult::NO_EXPOSURE)
+      {
+        record.refined_poses.erase(earlier);
+      }
       insertOnce(record.refined_poses, stamp_ns, *refined);
     }
     else if (const auto pose = instance.instantiate<geometry_msgs::PoseWithCovarianceStamped>())

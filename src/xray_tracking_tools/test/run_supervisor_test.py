@@ -1,7 +1,9 @@
 #!/usr/bin/python3
 """Runs the supervisor as a process of its own, plays the graph around it, and judges exit status and output."""
 
+import os
 import subprocess
+import tempfile
 import time
 import unittest
 
@@ -43,11 +45,11 @@ class Graph:
         response = TriggerResponse if isinstance(request, Trigger._request_class) else SetBoolResponse
         return response(success=success, message="" if success else "still loading the CT")
 
-    def supervise(self, **parameters):
+    def supervise(self, env=None, **parameters):
         for name, value in parameters.items():
             rospy.set_param(self.ns + "/run_supervisor/" + name, value)
         return subprocess.Popen([executable("run_supervisor"), "__ns:=" + self.ns], stdout=subprocess.PIPE,
-                                stderr=subprocess.STDOUT, universal_newlines=True)
+                                stderr=subprocess.STDOUT, universal_newlines=True, env=env)
 
     def expose(self, k, silent=(), state=PatientMotion.OK):
         stamp = rospy.Time(10 + k)
@@ -91,6 +93,30 @@ class RunSupervisorTest(unittest.TestCase):
         self.assertIn("exposure 1 / 5: OK, tracked, displacement 5.00 mm", output)
         self.assertIn("exposure 5 / 5: OK", output)
         self.assertIn("all 5 exposures were answered", output)
+
+    def test_a_clock_that_is_set_neither_ends_a_run_nor_makes_it_endless(self):
+        library = os.path.join(os.path.dirname(executable("run_supervisor")), "libset_clock.so")
+        for hours in (1, -1):
+            with self.subTest(hours=hours), tempfile.TemporaryDirectory() as folder:
+                set_by = os.path.join(folder, "seconds")
+                env = dict(os.environ, SET_CLOCK_BY=set_by,
+                           LD_PRELOAD=os.environ.get("LD_PRELOAD", "") + " " + library)
+                graph = Graph("set_forward" if hours > 0 else "set_back")
+                process = graph.supervise(env, exposures=1, stall_timeout=WAIT_S if hours > 0 else 5.0)
+                self.wait_for(lambda: graph.requests, "call of start")
+                time.sleep(1.0)
+                with open(set_by, "w") as file:
+                    file.write(str(3600 * hours))
+                if hours > 0:
+                    time.sleep(2.0)
+                    self.assertIsNone(process.poll(), "ended before the exposure")
+                    graph.expose(0)
+                try:
+                    status, output = self.end_of(process)
+                finally:
+                    process.kill()
+                self.assertIn("all 1 exposures" if hours > 0 else "no new patient_motion for 5.0 s", output)
+                self.assertEqual(status, 0 if hours > 0 else 1, output)
 
     def test_an_exposure_that_is_not_registered_is_told_as_such(self):
         graph = Graph("unregistered")

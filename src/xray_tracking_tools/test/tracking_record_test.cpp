@@ -107,6 +107,7 @@ TEST(TrackingRecord, judgesRefinedPosesBesideThePublishedOnes)
     run.answer(ros::Time(50 + k, 0), 0, 3, 0);
   }
   run.refined(ros::Time(50, 0), RefinementResult::SUCCESS, 0, 0, 0);
+  run.refined(ros::Time(51, 0), RefinementResult::NO_EXPOSURE, 0, 0, 0);  // it had not come yet
   run.refined(ros::Time(51, 0), RefinementResult::SUCCESS, 0.25, 0, 0);
   run.refined(ros::Time(52, 0), RefinementResult::UNRELIABLE, 9, 9, 9);
   run.close();

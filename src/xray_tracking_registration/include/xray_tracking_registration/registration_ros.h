@@ -90,14 +90,14 @@ private:
   // Of who works on a request alone.
   std::optional<SequenceRegistration> sequence_;
   std::size_t run_ = 0;                 ///< that it is of
-  std::deque<std::int64_t> published_;  ///< stamps of the last exposures on refined_pose
+  std::deque<std::int64_t> published_;  ///< stamps of the last exposures that were found and are on refined_pose
 
   std::mutex mutex_;                        ///< guards all from here to last_result_
   std::unique_ptr<ExposureIntake> intake_;  ///< made once; none before the CT is there
   std::shared_ptr<const Registration> registration_;
   std::string volume_state_ = "the volume is still being loaded";
   bool loading_ = true;
-  std::size_t exposures_ = 0;  ///< published
+  std::size_t exposures_ = 0;  ///< published, of those that were found
   std::size_t refined_ = 0;    ///< with success
   std::optional<RefinementResult> last_result_;
 

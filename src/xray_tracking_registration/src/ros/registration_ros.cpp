@@ -357,12 +357,16 @@ RegistrationRequest RegistrationRos::requestFor(const StoredExposure& exposure, 
 void RegistrationRos::publishRefined(std::int64_t stamp_ns, const RefinementResult& result, double cpu_seconds,
                                      const ros::SteadyTime& arrival)
 {
-  // Each exposure once, whoever asks.
+  // Each exposure once, whoever asks. One that was not found may come yet.
+  const bool found = result.status != RefinementResult::NO_EXPOSURE;
   if (std::find(published_.begin(), published_.end(), stamp_ns) != published_.end())
   {
     return;
   }
-  published_.push_back(stamp_ns);
+  if (found)
+  {
+    published_.push_back(stamp_ns);
+  }
   if (published_.size() > static_cast<std::size_t>(parameters_.queue_size))
   {
     published_.pop_front();
@@ -381,7 +385,7 @@ void RegistrationRos::publishRefined(std::int64_t stamp_ns, const RefinementResu
                                                      << adviceFor(result.status));
   }
   const std::lock_guard<std::mutex> lock(mutex_);
-  ++exposures_;
+  exposures_ += found ? 1 : 0;
   refined_ += success ? 1 : 0;
 }
 

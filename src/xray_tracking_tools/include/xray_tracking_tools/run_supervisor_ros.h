@@ -24,7 +24,8 @@ namespace xray_tracking
 /// ~start_service, ~stall_timeout.
 /// Subscribes: patient_motion, <detector>/camera_info, <detector>/tracked_region.
 /// Calls: ~start_service (std_srvs/Trigger of a simulator, or std_srvs/SetBool of rosbag play's pause_playback).
-/// All its timers are wall timers: it has to see a clock that stands still.
+/// Its time is the monotonic clock: it has to see a /clock that stands still, and neither that nor a computer whose
+/// clock is set is the end of a run.
 class RunSupervisorRos
 {
 public:
@@ -57,12 +58,12 @@ private:
   std::string start_service_;
   RequiredSubscribers required_subscribers_;
   std::vector<ros::Subscriber> subscribers_;
-  ros::WallTimer timer_;
+  ros::SteadyTimer timer_;
 
   std::map<std::string, DetectorCounts> detectors_;
   std::set<ros::Time> motions_;
-  ros::WallTime last_event_;  ///< start, or the last new answer
-  ros::WallTime last_print_;
+  ros::SteadyTime last_event_;  ///< start, or the last new answer
+  ros::SteadyTime last_print_;
   int exit_status_ = 1;
 
   std::atomic<bool> started_{ false };
