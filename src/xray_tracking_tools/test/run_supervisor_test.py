@@ -95,7 +95,7 @@ class RunSupervisorTest(unittest.TestCase):
         self.assertIn("all 5 exposures were answered", output)
 
     def test_a_clock_that_is_set_neither_ends_a_run_nor_makes_it_endless(self):
-        library = os.path.join(os.path.dirname(executable("run_supervisor")), "libset_clock.so")
+        library = os.path.join(os.path.dirname(executable("run_supervisor")), "xray_tracking_tools_set_clock_test")
         for hours in (1, -1):
             with self.subTest(hours=hours), tempfile.TemporaryDirectory() as folder:
                 set_by = os.path.join(folder, "seconds")
