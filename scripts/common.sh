@@ -16,7 +16,7 @@ install_dependencies() {
 
 # Installs those of some packages that are missing. The first argument says in words what they are for.
 install_packages() {
-  command -v dpkg-query >/dev/null || fail "this needs Debian 12 or 13 or Ubuntu 22.04: dpkg-query is not there"
+  command -v dpkg-query >/dev/null || fail "this needs Debian 12, or another system of CONTRIBUTING.md that has its packages: dpkg-query is not there"
   local needed_by="$1" missing=() package
   shift
   for package in "$@"; do
